@@ -1,0 +1,70 @@
+# One function per kind of target, so that each part's CMakeLists.txt is a few lines.
+
+option(ORTHONAV_WARNINGS_AS_ERRORS "Treat compiler warnings as errors" OFF)
+set(ORTHONAV_SANITIZE "" CACHE STRING "Sanitizers to build with, as for -fsanitize=")
+
+if(NOT CMAKE_BUILD_TYPE)
+  set(CMAKE_BUILD_TYPE Release CACHE STRING "" FORCE)
+endif()
+
+find_program(CCACHE_EXECUTABLE ccache)
+if(CCACHE_EXECUTABLE)
+  set(CMAKE_CXX_COMPILER_LAUNCHER ${CCACHE_EXECUTABLE})
+endif()
+
+if(ORTHONAV_SANITIZE)
+  add_compile_options(-fsanitize=${ORTHONAV_SANITIZE} -fno-omit-frame-pointer -fno-sanitize-recover=all)
+  add_link_options(-fsanitize=${ORTHONAV_SANITIZE})
+endif()
+
+function(orthonav_compile_options target)
+  target_compile_options(${target} PRIVATE
+    -Wall -Wextra -Wpedantic -Wshadow -Wnon-virtual-dtor -Wold-style-cast -Wcast-qual
+    -Woverloaded-virtual -Wnull-dereference)
+  if(ORTHONAV_WARNINGS_AS_ERRORS)
+    target_compile_options(${target} PRIVATE -Werror)
+  endif()
+endfunction()
+
+# orthonav_library(name SOURCES a.cpp ... LINKS lib ... [SYSTEM_LINKS lib ...])
+# A static library; headers are included as "folder/file.h" from the top of the tree.
+# SYSTEM_LINKS are third-party targets whose headers are not held to our warnings.
+function(orthonav_library name)
+  cmake_parse_arguments(ARG "" "" "SOURCES;LINKS" ${ARGN})
+  if(ARG_SOURCES)
+    add_library(${name} STATIC ${ARG_SOURCES})
+    target_include_directories(${name} PUBLIC ${CMAKE_SOURCE_DIR})
+    target_link_libraries(${name} PUBLIC ${ARG_LINKS})
+    orthonav_compile_options(${name})
+  else()
+    add_library(${name} INTERFACE)
+    target_include_directories(${name} INTERFACE ${CMAKE_SOURCE_DIR})
+    target_link_libraries(${name} INTERFACE ${ARG_LINKS})
+  endif()
+endfunction()
+
+# orthonav_executable(name SOURCES main.cpp ... LINKS lib ...): a program in build/<preset>/bin.
+function(orthonav_executable name)
+  cmake_parse_arguments(ARG "" "" "SOURCES;LINKS" ${ARGN})
+  add_executable(${name} ${ARG_SOURCES})
+  target_link_libraries(${name} PRIVATE ${ARG_LINKS} CLI11::CLI11)
+  orthonav_compile_options(${name})
+  install(TARGETS ${name} RUNTIME DESTINATION bin)
+endfunction()
+
+# orthonav_test(name SOURCES a.cpp ... LINKS lib ... [LABELS ...] [TIMEOUT s]): a GoogleTest program.
+# Each of its tests is a ctest test of its own.
+function(orthonav_test name)
+  cmake_parse_arguments(ARG "" "TIMEOUT" "SOURCES;LINKS;LABELS" ${ARGN})
+  if(NOT ARG_TIMEOUT)
+    set(ARG_TIMEOUT 120)
+  endif()
+  add_executable(${name} ${ARG_SOURCES})
+  target_link_libraries(${name} PRIVATE ${ARG_LINKS} GTest::gtest_main GTest::gmock)
+  orthonav_compile_options(${name})
+  set_target_properties(${name} PROPERTIES RUNTIME_OUTPUT_DIRECTORY ${CMAKE_BINARY_DIR}/tests)
+  include(GoogleTest)
+  gtest_discover_tests(${name} DISCOVERY_TIMEOUT 60
+    PROPERTIES TIMEOUT ${ARG_TIMEOUT} LABELS "${ARG_LABELS}"
+    ENVIRONMENT "ORTHONAV_BIN=${CMAKE_BINARY_DIR}/bin;ORTHONAV_SOURCE=${CMAKE_SOURCE_DIR}")
+endfunction()

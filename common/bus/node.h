@@ -1,0 +1,132 @@
+// A service's place on the bus: typed subscriptions and publications, timers, heartbeat and orderly shutdown.
+//
+// A service is a class that takes a Node in its constructor and subscribes. The same class runs in two ways:
+//   live      Node(options): an LCM URL of its own. A receive thread empties the socket into one queue; run()
+//             calls handlers and timers one at a time on the caller's thread, so a service needs no locks.
+//   replayed  Node(options, shared): several nodes in one process on one memq:// LCM. Handlers run in the order
+//             of publication, timers by the time of the data, and Stopwatch reads 0, so a replay repeats bit for bit.
+//
+// Undecodable messages, messages lost by a full queue and handlers that throw are counted and shown in the
+// heartbeat (health_t on channel HEALTH, once a second); they never end the process.
+#pragma once
+
+#include <chrono>
+#include <cstdint>
+#include <functional>
+#include <map>
+#include <memory>
+#include <string>
+
+#include <lcm/lcm-cpp.hpp>
+
+#include "orthonav/health_t.hpp"
+
+namespace orthonav {
+
+struct NodeOptions {
+  std::string service;                 // name in the heartbeat
+  std::string lcm_url = "";            // empty: LCM_DEFAULT_URL, else udpm://239.255.76.67:7667?ttl=0
+  int receive_buffer = 4 * 1024 * 1024;  // bytes asked of the kernel (SO_RCVBUF) unless the URL says otherwise
+};
+
+// What happens to messages that arrive faster than they are handled.
+enum class Delivery {
+  kAll,     // unbounded, in order: IMU, keyframes, fixes
+  kLatest,  // at most `depth` wait; the oldest is given up and counted: images
+};
+
+// Health of a service. Counters are shown in the heartbeat in order of their names.
+class Health {
+ public:
+  enum class State : int8_t { kStarting = 0, kOk = 1, kDegraded = 2, kFailed = 3 };
+
+  void set_state(State state, const std::string& message = "");
+  void set(const std::string& counter, double value) { counters_[counter] = value; }
+  void add(const std::string& counter, double amount = 1) { counters_[counter] += amount; }
+  // Counts under `rejected.<what>` and degrades the state for 5 s with this message.
+  void reject(const std::string& what, const std::string& message);
+
+  State state() const { return state_; }
+  const std::string& message() const { return message_; }
+  double counter(const std::string& name) const;
+
+ private:
+  friend class Node;
+  State state_ = State::kStarting;
+  std::string message_;
+  std::map<std::string, double> counters_;
+  std::string reject_message_;
+  int64_t reject_until_ = 0;
+  bool reject_pending_ = false;
+};
+
+class Node {
+ public:
+  // Live. Throws std::runtime_error naming the URL when the bus cannot be joined.
+  explicit Node(const NodeOptions& options);
+  // Replayed, on a shared memq:// instance that outlives the node.
+  Node(const NodeOptions& options, lcm::LCM& shared);
+  ~Node();
+  Node(const Node&) = delete;
+  Node& operator=(const Node&) = delete;
+
+  // Calls `handler` for each message of `channel` that decodes as Msg. `depth` is for Delivery::kLatest.
+  template <class Msg>
+  void subscribe(const std::string& channel, Delivery delivery, std::function<void(const Msg&)> handler,
+                 size_t depth = 1) {
+    subscribe_raw(channel, delivery, depth, [handler = std::move(handler)](const void* data, size_t size) {
+      Msg message;
+      if (message.decode(data, 0, static_cast<int>(size)) < 0) return false;
+      handler(message);
+      return true;
+    });
+  }
+
+  // Sends a message. Failures are counted in the health.
+  template <class Msg>
+  void publish(const std::string& channel, const Msg& message) {
+    count_published(channel, message.getEncodedSize(), lcm().publish(channel, &message));
+  }
+
+  // Calls `handler` every `period`: on the monotonic clock when live, by the data's time when replayed.
+  void every(std::chrono::microseconds period, std::function<void()> handler);
+
+  // Handles messages and timers until stop(), SIGINT or SIGTERM. Live only. Returns 0.
+  int run();
+  // Ends run() after the current handler. Async-signal-safe and thread-safe.
+  void stop();
+
+  // Replayed only: fires the timers due up to `utime`, which becomes now().
+  void advance(int64_t utime);
+
+  // Microseconds since the Unix epoch: the wall clock when live, the data's time when replayed. For stamping
+  // outgoing housekeeping messages (health, requests), never for an algorithm.
+  int64_t now() const;
+
+  bool live() const;
+  Health& health();
+
+ private:
+  using RawHandler = std::function<bool(const void* data, size_t size)>;
+  void subscribe_raw(const std::string& channel, Delivery delivery, size_t depth, RawHandler handler);
+  void count_published(const std::string& channel, int size, int result);
+  lcm::LCM& lcm();
+
+  struct Impl;
+  std::unique_ptr<Impl> impl_;
+};
+
+// Wall time of a piece of work, for the processing_ms fields: 0 in a replay, so that it repeats, unless timings
+// were asked for with Stopwatch::enable_in_replay.
+class Stopwatch {
+ public:
+  explicit Stopwatch(const Node& node);
+  double ms() const;
+  static void enable_in_replay(bool enabled);
+
+ private:
+  bool enabled_;
+  std::chrono::steady_clock::time_point start_;
+};
+
+}  // namespace orthonav
