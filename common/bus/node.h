@@ -24,8 +24,8 @@
 namespace orthonav {
 
 struct NodeOptions {
-  std::string service;                 // name in the heartbeat
-  std::string lcm_url = "";            // empty: LCM_DEFAULT_URL, else udpm://239.255.76.67:7667?ttl=0
+  std::string service;                   // name in the heartbeat
+  std::string lcm_url = "";              // empty: LCM_DEFAULT_URL, else udpm://239.255.76.67:7667?ttl=0
   int receive_buffer = 4 * 1024 * 1024;  // bytes asked of the kernel (SO_RCVBUF) unless the URL says otherwise
 };
 
@@ -110,6 +110,7 @@ class Node {
   using RawHandler = std::function<bool(const void* data, size_t size)>;
   void subscribe_raw(const std::string& channel, Delivery delivery, size_t depth, RawHandler handler);
   void count_published(const std::string& channel, int size, int result);
+  void publish_health();
   lcm::LCM& lcm();
 
   struct Impl;
@@ -122,6 +123,7 @@ class Stopwatch {
  public:
   explicit Stopwatch(const Node& node);
   double ms() const;
+  // Applies to all replayed nodes of the process; thread-safe.
   static void enable_in_replay(bool enabled);
 
  private:

@@ -20,8 +20,8 @@ class ConfigNode;
 enum class LensModel { kRadtan, kEquidistant };
 
 struct CameraParameters {
-  int width = 0;   // pixels
-  int height = 0;  // pixels
+  int width = 0;                          // pixels
+  int height = 0;                         // pixels
   double fx = 0, fy = 0, cx = 0, cy = 0;  // pixels
   LensModel model = LensModel::kRadtan;
   std::array<double, 4> distortion{};  // k1 k2 p1 p2, or k1 k2 k3 k4

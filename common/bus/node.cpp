@@ -1,0 +1,380 @@
+#include "common/bus/node.h"
+
+#include <algorithm>
+#include <atomic>
+#include <condition_variable>
+#include <csignal>
+#include <cstdlib>
+#include <deque>
+#include <mutex>
+#include <optional>
+#include <stdexcept>
+#include <thread>
+#include <vector>
+
+#include <fmt/format.h>
+#include <netinet/in.h>
+#include <spdlog/spdlog.h>
+#include <sys/socket.h>
+#include <unistd.h>
+
+#include "common/bus/channels.h"
+
+namespace orthonav {
+
+namespace {
+
+using Clock = std::chrono::steady_clock;
+
+constexpr int64_t kRejectDegradesFor = 5'000'000;          // microseconds
+constexpr auto kStopPoll = std::chrono::milliseconds(50);  // how soon run() sees a signal
+constexpr int64_t kLargestTimerLag = 10'000'000;           // microseconds of replayed time that timers catch up on
+
+std::atomic<bool> g_signalled{false};
+std::atomic<bool> g_stopwatch_in_replay{false};
+
+void on_signal(int) {
+  g_signalled = true;
+}
+
+std::string host_name() {
+  char name[256] = {};
+  return gethostname(name, sizeof(name) - 1) == 0 ? name : "unknown";
+}
+
+// The kernel clamps a receive buffer to net.core.rmem_max without a word, and LCM does not show its socket. A
+// socket of our own is clamped alike. Returns the bytes the kernel granted, as asked for (it doubles them inside).
+int granted_receive_buffer(int wanted) {
+  const int fd = socket(AF_INET, SOCK_DGRAM, 0);
+  if (fd < 0) return wanted;
+  int granted = 0;
+  socklen_t length = sizeof(granted);
+  setsockopt(fd, SOL_SOCKET, SO_RCVBUF, &wanted, sizeof(wanted));
+  getsockopt(fd, SOL_SOCKET, SO_RCVBUF, &granted, &length);
+  close(fd);
+  return granted / 2;
+}
+
+std::string full_url(const NodeOptions& options) {
+  std::string url = options.lcm_url;
+  if (url.empty()) {
+    const char* from_environment = std::getenv("LCM_DEFAULT_URL");
+    url =
+        from_environment != nullptr && *from_environment != '\0' ? from_environment : "udpm://239.255.76.67:7667?ttl=0";
+  }
+  if (url.rfind("udpm", 0) == 0 && url.find("recv_buf_size") == std::string::npos) {
+    url += fmt::format("{}recv_buf_size={}", url.find('?') == std::string::npos ? '?' : '&', options.receive_buffer);
+  }
+  return url;
+}
+
+}  // namespace
+
+// ---- Health ---------------------------------------------------------------------------------------------------------
+
+void Health::set_state(State state, const std::string& message) {
+  state_ = state;
+  message_ = message;
+}
+
+void Health::reject(const std::string& what, const std::string& message) {
+  add("rejected." + what);
+  reject_message_ = message;
+  reject_pending_ = true;
+}
+
+double Health::counter(const std::string& name) const {
+  const auto it = counters_.find(name);
+  return it == counters_.end() ? 0.0 : it->second;
+}
+
+// ---- Node -----------------------------------------------------------------------------------------------------------
+
+struct Node::Impl {
+  struct Subscription {
+    std::string channel;
+    Delivery delivery;
+    size_t depth;
+    RawHandler handler;
+    Node* node = nullptr;
+    size_t waiting = 0;   // guarded by queue_mutex
+    int64_t dropped = 0;  // guarded by queue_mutex
+    int64_t reported = 0;
+
+    void receive(const lcm::ReceiveBuffer* buffer, const std::string&);
+  };
+  struct Message {
+    Subscription* subscription;
+    std::vector<uint8_t> data;
+  };
+  struct Timer {
+    int64_t period;
+    std::function<void()> handler;
+    int64_t due = 0;
+    bool started = false;
+  };
+
+  NodeOptions options;
+  std::unique_ptr<lcm::LCM> own;
+  lcm::LCM* shared = nullptr;
+  int64_t replay_now = 0;
+  int64_t start = 0;
+  std::atomic<bool> stopping{false};
+  Health health;
+  Health::State published_state = Health::State::kStarting;
+  std::string buffer_message;
+  std::vector<std::unique_ptr<Subscription>> subscriptions;
+  std::vector<Timer> timers;
+
+  std::mutex queue_mutex;
+  std::condition_variable queue_filled;
+  std::deque<Message> queue;
+
+  void dispatch(const Subscription& subscription, const void* data, size_t size) {
+    health.add("received." + subscription.channel);
+    try {
+      if (!subscription.handler(data, size)) {
+        health.reject("undecodable." + subscription.channel,
+                      fmt::format("{}: a message of {} bytes does not decode: is its publisher of another version?",
+                                  subscription.channel, size));
+      }
+    } catch (const std::exception& error) {
+      health.reject("exception." + subscription.channel, fmt::format("{}: {}", subscription.channel, error.what()));
+      spdlog::error("{}: {}: {}", options.service, subscription.channel, error.what());
+    }
+  }
+
+  void enqueue(Subscription& subscription, const lcm::ReceiveBuffer& buffer) {
+    const auto* bytes = static_cast<const uint8_t*>(buffer.data);
+    Message message{&subscription, {bytes, bytes + buffer.data_size}};
+    {
+      const std::lock_guard lock(queue_mutex);
+      if (subscription.delivery == Delivery::kLatest && subscription.waiting >= subscription.depth) {
+        const auto oldest =
+            std::find_if(queue.begin(), queue.end(), [&](const Message& m) { return m.subscription == &subscription; });
+        queue.erase(oldest);
+        --subscription.waiting;
+        ++subscription.dropped;
+      }
+      ++subscription.waiting;
+      queue.push_back(std::move(message));
+    }
+    queue_filled.notify_one();
+  }
+
+  void report_drops() {
+    for (const auto& subscription : subscriptions) {
+      int64_t dropped = 0;
+      {
+        const std::lock_guard lock(queue_mutex);
+        dropped = subscription->dropped;
+      }
+      if (dropped == subscription->reported) continue;
+      health.reject("overrun." + subscription->channel,
+                    fmt::format("{}: {} messages given up because they came faster than they could be handled",
+                                subscription->channel, dropped));
+      health.set("rejected.overrun." + subscription->channel, static_cast<double>(dropped));
+      subscription->reported = dropped;
+    }
+  }
+
+  // Fires what is due at `now` (microseconds); returns when the next timer is due.
+  int64_t fire_timers(int64_t now) {
+    int64_t next = now + 1'000'000;
+    // By index: a handler may add timers.
+    for (size_t i = 0; i < timers.size(); ++i) {
+      if (!timers[i].started) {
+        timers[i].started = true;
+        timers[i].due = now + timers[i].period;
+      }
+      if (now - timers[i].due > kLargestTimerLag) timers[i].due = now;
+      while (timers[i].due <= now) {
+        timers[i].due += timers[i].period;
+        try {
+          const auto handler = timers[i].handler;
+          handler();
+        } catch (const std::exception& error) {
+          health.reject("exception.timer", error.what());
+          spdlog::error("{}: timer: {}", options.service, error.what());
+        }
+      }
+      next = std::min(next, timers[i].due);
+    }
+    return next;
+  }
+};
+
+void Node::Impl::Subscription::receive(const lcm::ReceiveBuffer* buffer, const std::string&) {
+  Impl& impl = *node->impl_;
+  if (node->live()) {
+    impl.enqueue(*this, *buffer);
+  } else {
+    impl.dispatch(*this, buffer->data, buffer->data_size);
+  }
+}
+
+Node::Node(const NodeOptions& options) : impl_(std::make_unique<Impl>()) {
+  impl_->options = options;
+  const std::string url = full_url(options);
+  impl_->own = std::make_unique<lcm::LCM>(url);
+  if (!impl_->own->good()) {
+    throw std::runtime_error(
+        fmt::format("cannot join the bus at {}: is there a multicast route? (ip route add "
+                    "224.0.0.0/4 dev lo)",
+                    url));
+  }
+  impl_->start = now();
+  if (url.rfind("udpm", 0) == 0) {
+    const int granted = granted_receive_buffer(options.receive_buffer);
+    impl_->health.set("bus.receive_buffer", granted);
+    if (granted < options.receive_buffer) {
+      impl_->buffer_message = fmt::format(
+          "receive buffer clamped to {} of {} bytes, large images may be lost: sysctl -w "
+          "net.core.rmem_max={}",
+          granted, options.receive_buffer, options.receive_buffer);
+      spdlog::warn("{}: {}", options.service, impl_->buffer_message);
+    }
+  }
+  every(std::chrono::seconds(1), [this] { publish_health(); });
+}
+
+Node::Node(const NodeOptions& options, lcm::LCM& shared) : impl_(std::make_unique<Impl>()) {
+  impl_->options = options;
+  impl_->shared = &shared;
+  every(std::chrono::seconds(1), [this] { publish_health(); });
+}
+
+Node::~Node() = default;
+
+lcm::LCM& Node::lcm() {
+  return impl_->own ? *impl_->own : *impl_->shared;
+}
+bool Node::live() const {
+  return impl_->own != nullptr;
+}
+Health& Node::health() {
+  return impl_->health;
+}
+
+void Node::subscribe_raw(const std::string& channel, Delivery delivery, size_t depth, RawHandler handler) {
+  auto subscription = std::make_unique<Impl::Subscription>();
+  subscription->channel = channel;
+  subscription->delivery = delivery;
+  subscription->depth = std::max<size_t>(depth, 1);
+  subscription->handler = std::move(handler);
+  subscription->node = this;
+  // LCM's own queue of 30 would drop the newest; ours, behind it, does what `delivery` says.
+  lcm().subscribe(channel, &Impl::Subscription::receive, subscription.get())->setQueueCapacity(0);
+  impl_->subscriptions.push_back(std::move(subscription));
+}
+
+void Node::count_published(const std::string& channel, int size, int result) {
+  if (result != 0) {
+    impl_->health.reject("unsent." + channel,
+                         fmt::format("{}: a message of {} bytes could not be sent", channel, size));
+  } else {
+    impl_->health.add("published." + channel);
+  }
+}
+
+void Node::every(std::chrono::microseconds period, std::function<void()> handler) {
+  impl_->timers.push_back({period.count(), std::move(handler)});
+}
+
+int64_t Node::now() const {
+  if (!live()) return impl_->replay_now;
+  return std::chrono::duration_cast<std::chrono::microseconds>(std::chrono::system_clock::now().time_since_epoch())
+      .count();
+}
+
+void Node::advance(int64_t utime) {
+  if (impl_->start == 0) impl_->start = utime;
+  impl_->replay_now = std::max(impl_->replay_now, utime);
+  impl_->fire_timers(impl_->replay_now);
+}
+
+void Node::stop() {
+  impl_->stopping = true;
+}
+
+int Node::run() {
+  std::signal(SIGINT, on_signal);
+  std::signal(SIGTERM, on_signal);
+  const auto stopping = [this] { return impl_->stopping || g_signalled; };
+  std::thread receiver([&] {
+    while (!stopping()) impl_->own->handleTimeout(static_cast<int>(kStopPoll.count()));
+  });
+  publish_health();
+  const auto monotonic = [] {
+    return std::chrono::duration_cast<std::chrono::microseconds>(Clock::now().time_since_epoch()).count();
+  };
+  while (!stopping()) {
+    const int64_t due = impl_->fire_timers(monotonic());
+    impl_->report_drops();
+    if (impl_->health.state() != impl_->published_state) publish_health();
+    std::optional<Impl::Message> message;
+    {
+      std::unique_lock lock(impl_->queue_mutex);
+      const auto patience = std::chrono::microseconds(std::max<int64_t>(0, due - monotonic()));
+      impl_->queue_filled.wait_for(lock, std::min<std::chrono::microseconds>(patience, kStopPoll),
+                                   [&] { return !impl_->queue.empty(); });
+      if (!impl_->queue.empty()) {
+        message = std::move(impl_->queue.front());
+        impl_->queue.pop_front();
+        --message->subscription->waiting;
+      }
+    }
+    if (message) impl_->dispatch(*message->subscription, message->data.data(), message->data.size());
+  }
+  receiver.join();
+  return 0;
+}
+
+void Node::publish_health() {
+  Health& health = impl_->health;
+  const int64_t time = now();
+  if (health.reject_pending_) {
+    health.reject_until_ = time + kRejectDegradesFor;
+    health.reject_pending_ = false;
+  }
+  health_t message;
+  message.utime = time;
+  message.service = impl_->options.service;
+  message.host = live() ? host_name() : "replay";
+  message.version = ORTHONAV_VERSION;
+  message.pid = live() ? static_cast<int32_t>(getpid()) : 0;
+  Health::State state = health.state_;
+  message.message = health.message_;
+  if (state == Health::State::kOk && time < health.reject_until_) {
+    state = Health::State::kDegraded;
+    message.message = health.reject_message_;
+  } else if (state == Health::State::kOk && !impl_->buffer_message.empty()) {
+    state = Health::State::kDegraded;
+    message.message = impl_->buffer_message;
+  }
+  message.state = static_cast<int8_t>(state);
+  message.uptime = static_cast<double>(time - impl_->start) * 1e-6;
+  for (const auto& [name, value] : health.counters_) {
+    health_counter_t counter;
+    counter.name = name;
+    counter.value = value;
+    message.counters.push_back(std::move(counter));
+  }
+  message.num_counters = static_cast<int32_t>(message.counters.size());
+  impl_->published_state = health.state_;
+  lcm().publish(channel::kHealth, &message);
+}
+
+// ---- Stopwatch ------------------------------------------------------------------------------------------------------
+
+Stopwatch::Stopwatch(const Node& node) : enabled_(node.live() || g_stopwatch_in_replay), start_(Clock::now()) {}
+
+double Stopwatch::ms() const {
+  return enabled_ ? std::chrono::duration<double, std::milli>(Clock::now() - start_).count() : 0.0;
+}
+
+void Stopwatch::enable_in_replay(bool enabled) {
+  g_stopwatch_in_replay = enabled;
+}
+
+}  // namespace orthonav

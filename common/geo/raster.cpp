@@ -1,0 +1,223 @@
+#include "common/geo/raster.h"
+
+#include <cmath>
+#include <limits>
+#include <mutex>
+#include <stdexcept>
+#include <vector>
+
+#include <fmt/format.h>
+#include <gdal_priv.h>
+#include <ogr_spatialref.h>
+#include <opencv2/imgproc.hpp>
+
+namespace orthonav {
+
+namespace {
+
+void register_drivers() {
+  static std::once_flag once;
+  std::call_once(once, [] {
+    GDALAllRegister();
+    CPLSetErrorHandler(CPLQuietErrorHandler);  // errors are reported through exceptions, with the file's name
+  });
+}
+
+[[noreturn]] void fail(const std::filesystem::path& file, const std::string& what) {
+  const std::string detail = CPLGetLastErrorMsg();
+  throw std::runtime_error(fmt::format("{}: {}{}{}", file.string(), what, detail.empty() ? "" : ": ", detail));
+}
+
+struct DatasetCloser {
+  void operator()(GDALDataset* dataset) const { GDALClose(dataset); }
+};
+using Dataset = std::unique_ptr<GDALDataset, DatasetCloser>;
+
+std::unique_ptr<OGRSpatialReference> wgs84() {
+  auto crs = std::make_unique<OGRSpatialReference>();
+  crs->SetWellKnownGeogCS("WGS84");
+  crs->SetAxisMappingStrategy(OAMS_TRADITIONAL_GIS_ORDER);
+  return crs;
+}
+
+}  // namespace
+
+struct Raster::Impl {
+  std::filesystem::path file;
+  Dataset dataset;
+  double transform[6] = {};
+  double inverse[6] = {};
+  std::unique_ptr<OGRCoordinateTransformation> to_wgs84;
+  std::unique_ptr<OGRCoordinateTransformation> from_wgs84;
+
+  Eigen::Vector2d pixel_to_crs(const Eigen::Vector2d& pixel) const {
+    Eigen::Vector2d xy;
+    GDALApplyGeoTransform(const_cast<double*>(transform), pixel.x() + 0.5, pixel.y() + 0.5, &xy.x(), &xy.y());
+    return xy;
+  }
+
+  cv::Rect clip(const cv::Rect& window) const {
+    return window & cv::Rect(0, 0, dataset->GetRasterXSize(), dataset->GetRasterYSize());
+  }
+
+  // Reads band `index` (1-based) of `inside` into the window-sized `image` at its place.
+  void read(int index, const cv::Rect& window, const cv::Rect& inside, cv::Mat& image, GDALDataType type) const {
+    GDALRasterBand* band = dataset->GetRasterBand(index);
+    cv::Mat target = image(cv::Rect(inside.x - window.x, inside.y - window.y, inside.width, inside.height));
+    if (band->RasterIO(GF_Read, inside.x, inside.y, inside.width, inside.height, target.data, inside.width,
+                       inside.height, type, static_cast<GSpacing>(image.elemSize()),
+                       static_cast<GSpacing>(image.step)) != CE_None) {
+      fail(file, fmt::format("cannot read band {} at {}+{}, {}x{}: is the file truncated?", index, inside.x, inside.y,
+                             inside.width, inside.height));
+    }
+  }
+
+  void read_mask(const cv::Rect& window, const cv::Rect& inside, cv::Mat& mask) const {
+    cv::Mat target = mask(cv::Rect(inside.x - window.x, inside.y - window.y, inside.width, inside.height));
+    if (dataset->GetRasterBand(1)->GetMaskBand()->RasterIO(GF_Read, inside.x, inside.y, inside.width, inside.height,
+                                                           target.data, inside.width, inside.height, GDT_Byte, 1,
+                                                           static_cast<GSpacing>(mask.step)) != CE_None) {
+      fail(file, "cannot read the mask: is the file truncated?");
+    }
+  }
+};
+
+Raster::Raster(const std::filesystem::path& file) : impl_(std::make_unique<Impl>()) {
+  register_drivers();
+  impl_->file = file;
+  CPLErrorReset();
+  impl_->dataset.reset(GDALDataset::Open(file.c_str(), GDAL_OF_RASTER | GDAL_OF_READONLY));
+  if (!impl_->dataset) fail(file, "cannot open as a raster");
+  if (impl_->dataset->GetRasterCount() < 1) fail(file, "has no band");
+  if (impl_->dataset->GetGeoTransform(impl_->transform) != CE_None) fail(file, "has no georeference (geotransform)");
+  if (GDALInvGeoTransform(impl_->transform, impl_->inverse) == 0)
+    fail(file, "has a georeference that cannot be inverted");
+  const OGRSpatialReference* crs = impl_->dataset->GetSpatialRef();
+  if (crs == nullptr) fail(file, "has no coordinate reference system");
+  OGRSpatialReference source(*crs);
+  source.SetAxisMappingStrategy(OAMS_TRADITIONAL_GIS_ORDER);
+  const auto geographic = wgs84();
+  impl_->to_wgs84.reset(OGRCreateCoordinateTransformation(&source, geographic.get()));
+  impl_->from_wgs84.reset(OGRCreateCoordinateTransformation(geographic.get(), &source));
+  if (!impl_->to_wgs84 || !impl_->from_wgs84) fail(file, "has a coordinate system that cannot be brought to WGS84");
+}
+
+Raster::~Raster() = default;
+Raster::Raster(Raster&&) noexcept = default;
+Raster& Raster::operator=(Raster&&) noexcept = default;
+
+const std::filesystem::path& Raster::file() const {
+  return impl_->file;
+}
+int Raster::width() const {
+  return impl_->dataset->GetRasterXSize();
+}
+int Raster::height() const {
+  return impl_->dataset->GetRasterYSize();
+}
+
+Geodetic Raster::pixel_to_geodetic(const Eigen::Vector2d& pixel) const {
+  Eigen::Vector2d xy = impl_->pixel_to_crs(pixel);
+  if (impl_->to_wgs84->Transform(1, &xy.x(), &xy.y()) == 0) {
+    fail(impl_->file, fmt::format("pixel {:.1f}, {:.1f} cannot be brought to WGS84", pixel.x(), pixel.y()));
+  }
+  return {xy.y(), xy.x(), 0.0};
+}
+
+Eigen::Vector2d Raster::geodetic_to_pixel(const Geodetic& position) const {
+  Eigen::Vector2d xy(position.longitude_deg, position.latitude_deg);
+  if (impl_->from_wgs84->Transform(1, &xy.x(), &xy.y()) == 0) {
+    fail(impl_->file, fmt::format("{:.6f}, {:.6f} lies outside the raster's coordinate system", position.latitude_deg,
+                                  position.longitude_deg));
+  }
+  Eigen::Vector2d pixel;
+  GDALApplyGeoTransform(impl_->inverse, xy.x(), xy.y(), &pixel.x(), &pixel.y());
+  return pixel - Eigen::Vector2d(0.5, 0.5);
+}
+
+double Raster::metres_per_pixel(const Eigen::Vector2d& pixel) const {
+  const EnuFrame frame(pixel_to_geodetic(pixel));
+  // A step of several pixels keeps the difference clear of rounding in degrees.
+  constexpr double kStep = 10.0;
+  const Eigen::Vector3d right = frame.to_enu(pixel_to_geodetic(pixel + Eigen::Vector2d(kStep, 0)));
+  const Eigen::Vector3d down = frame.to_enu(pixel_to_geodetic(pixel + Eigen::Vector2d(0, kStep)));
+  return std::sqrt(right.head<2>().norm() * down.head<2>().norm()) / kStep;
+}
+
+cv::Mat Raster::read_grey(const cv::Rect& window, cv::Mat* valid) const {
+  const cv::Rect inside = impl_->clip(window);
+  cv::Mat grey = cv::Mat::zeros(window.size(), CV_8U);
+  if (valid != nullptr) *valid = cv::Mat::zeros(window.size(), CV_8U);
+  if (inside.empty()) return grey;
+
+  const GDALColorInterp first = impl_->dataset->GetRasterBand(1)->GetColorInterpretation();
+  const GDALDataType type = impl_->dataset->GetRasterBand(1)->GetRasterDataType();
+  const bool colour = impl_->dataset->GetRasterCount() >= 3 && first != GCI_GrayIndex;
+  // 16-bit pictures are brought to 8 bits by their full range; 8-bit ones are read as they are.
+  const double scale = type == GDT_UInt16 ? 255.0 / 65535.0 : 1.0;
+  const auto read_band = [&](int index) {
+    cv::Mat band = cv::Mat::zeros(window.size(), CV_32F);
+    impl_->read(index, window, inside, band, GDT_Float32);
+    return cv::Mat(band * scale);
+  };
+  cv::Mat luminance = read_band(1);
+  if (colour) luminance = 0.299 * luminance + 0.587 * read_band(2) + 0.114 * read_band(3);
+  luminance.convertTo(grey, CV_8U);
+  if (valid != nullptr) impl_->read_mask(window, inside, *valid);
+  return grey;
+}
+
+cv::Mat Raster::read_float(const cv::Rect& window) const {
+  const cv::Rect inside = impl_->clip(window);
+  cv::Mat values(window.size(), CV_32F, cv::Scalar(0));
+  cv::Mat mask = cv::Mat::zeros(window.size(), CV_8U);
+  if (!inside.empty()) {
+    impl_->read(1, window, inside, values, GDT_Float32);
+    impl_->read_mask(window, inside, mask);
+  }
+  values.setTo(std::numeric_limits<float>::quiet_NaN(), mask == 0);
+  return values;
+}
+
+void write_geotiff(const std::filesystem::path& file, const cv::Mat& image, const RasterGrid& grid, int jpeg_quality) {
+  register_drivers();
+  CPLErrorReset();
+  const bool is_float = image.depth() == CV_32F;
+  if ((!is_float && image.depth() != CV_8U) || (image.channels() != 1 && image.channels() != 3) || image.empty()) {
+    throw std::runtime_error(file.string() + ": a GeoTIFF is written from 8-bit or float images of 1 or 3 channels");
+  }
+  GDALDriver* driver = GetGDALDriverManager()->GetDriverByName("GTiff");
+  if (driver == nullptr) fail(file, "GDAL has no GeoTIFF driver");
+  std::vector<std::string> options{"TILED=YES"};
+  if (jpeg_quality > 0 && !is_float) {
+    options.insert(options.end(), {"COMPRESS=JPEG", fmt::format("JPEG_QUALITY={}", jpeg_quality)});
+    if (image.channels() == 3) options.emplace_back("PHOTOMETRIC=YCBCR");
+  } else {
+    options.insert(options.end(), {"COMPRESS=DEFLATE", is_float ? "PREDICTOR=3" : "PREDICTOR=2"});
+  }
+  CPLStringList list;
+  for (const auto& option : options) list.AddString(option.c_str());
+
+  Dataset dataset(driver->Create(file.c_str(), image.cols, image.rows, image.channels(),
+                                 is_float ? GDT_Float32 : GDT_Byte, list.List()));
+  if (!dataset) fail(file, "cannot create");
+  double transform[6];
+  std::copy(std::begin(grid.transform), std::end(grid.transform), transform);
+  OGRSpatialReference crs;
+  if (crs.SetFromUserInput(grid.crs.c_str()) != OGRERR_NONE) fail(file, "unknown coordinate system " + grid.crs);
+  if (dataset->SetGeoTransform(transform) != CE_None || dataset->SetSpatialRef(&crs) != CE_None) {
+    fail(file, "cannot write the georeference");
+  }
+  cv::Mat picture = image;
+  if (image.channels() == 3) cv::cvtColor(image, picture, cv::COLOR_BGR2RGB);
+  const auto element = static_cast<GSpacing>(picture.elemSize1());
+  if (dataset->RasterIO(GF_Write, 0, 0, picture.cols, picture.rows, picture.data, picture.cols, picture.rows,
+                        is_float ? GDT_Float32 : GDT_Byte, picture.channels(), nullptr,
+                        static_cast<GSpacing>(picture.elemSize()), static_cast<GSpacing>(picture.step), element,
+                        nullptr) != CE_None) {
+    fail(file, "cannot write: is the disk full?");
+  }
+  dataset->FlushCache();
+}
+
+}  // namespace orthonav
