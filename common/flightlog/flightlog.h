@@ -24,7 +24,8 @@ struct LogEvent {
   }
 };
 
-// Reads events in the order of the file. A damaged stretch is skipped to the next event and counted.
+// Reads events in the order of the file. A damaged stretch is skipped to the next sound
+// event and counted, with the event before it.
 class LogReader {
  public:
   // Throws std::runtime_error naming the file when it cannot be opened.
