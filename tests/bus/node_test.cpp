@@ -1,0 +1,212 @@
+#include "common/bus/node.h"
+
+#include <thread>
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include "common/bus/channels.h"
+#include "orthonav/compass_t.hpp"
+#include "orthonav/image_t.hpp"
+#include "orthonav/imu_t.hpp"
+#include "tests/support/bus_client.h"
+
+namespace orthonav {
+namespace {
+
+using test::Collector;
+using test::handle_until;
+
+imu_t imu_at(int64_t utime) {
+  imu_t imu{};
+  imu.utime = utime;
+  return imu;
+}
+
+// ---- replayed -------------------------------------------------------------------------------------------------------
+
+class ReplayedNode : public testing::Test {
+ protected:
+  void pump() {
+    while (bus_.handleTimeout(0) > 0) {
+    }
+  }
+  lcm::LCM bus_{"memq://"};
+};
+
+TEST_F(ReplayedNode, DeliversInTheOrderOfPublication) {
+  Node sender({.service = "a"}, bus_), receiver({.service = "b"}, bus_);
+  std::vector<int64_t> seen;
+  receiver.subscribe<imu_t>("IMU", Delivery::kAll, [&](const imu_t& m) { seen.push_back(m.utime); });
+  receiver.subscribe<compass_t>("COMPASS", Delivery::kLatest, [&](const compass_t& m) { seen.push_back(-m.utime); });
+  for (int i = 1; i <= 100; ++i) {
+    sender.publish("IMU", imu_at(i));
+    compass_t compass{};
+    compass.utime = i;
+    sender.publish("COMPASS", compass);
+  }
+  pump();
+  ASSERT_EQ(seen.size(), 200u);
+  for (int i = 0; i < 100; ++i) {
+    EXPECT_EQ(seen[static_cast<size_t>(2 * i)], i + 1);
+    EXPECT_EQ(seen[static_cast<size_t>(2 * i) + 1], -(i + 1));
+  }
+}
+
+TEST_F(ReplayedNode, TimersFollowTheTimeOfTheData) {
+  Node node({.service = "a"}, bus_);
+  std::vector<int64_t> fired;
+  node.every(std::chrono::milliseconds(10), [&] { fired.push_back(node.now()); });
+  for (int64_t t = 1'000'000; t <= 1'100'000; t += 5'000) node.advance(t);
+  EXPECT_EQ(fired.size(), 10u);
+  EXPECT_EQ(node.now(), 1'100'000);
+  // A day without data is not made up for by millions of calls.
+  node.advance(86'400'000'000);
+  EXPECT_LE(fired.size(), 12u);
+}
+
+TEST_F(ReplayedNode, UndecodableMessagesAreCountedAndSurvived) {
+  Node node({.service = "a"}, bus_);
+  int handled = 0;
+  node.subscribe<imu_t>("IMU", Delivery::kAll, [&](const imu_t&) { ++handled; });
+  node.health().set_state(Health::State::kOk);
+  const std::string garbage = "not a message of any kind";
+  bus_.publish("IMU", garbage.data(), static_cast<unsigned>(garbage.size()));
+  bus_.publish("IMU", garbage.data(), 0u);
+  Node({.service = "b"}, bus_).publish("IMU", imu_at(5));
+  pump();
+  EXPECT_EQ(handled, 1);
+  EXPECT_EQ(node.health().counter("rejected.undecodable.IMU"), 2);
+}
+
+TEST_F(ReplayedNode, AHandlerThatThrowsIsCountedAndSurvived) {
+  Node node({.service = "a"}, bus_);
+  node.subscribe<imu_t>("IMU", Delivery::kAll, [&](const imu_t& m) {
+    if (m.utime == 1) throw std::runtime_error("no good");
+  });
+  node.publish("IMU", imu_at(1));
+  node.publish("IMU", imu_at(2));
+  pump();
+  EXPECT_EQ(node.health().counter("rejected.exception.IMU"), 1);
+  EXPECT_EQ(node.health().counter("received.IMU"), 2);
+}
+
+TEST_F(ReplayedNode, HeartbeatShowsStateCountersAndTheLastReject) {
+  Node node({.service = "vio"}, bus_);
+  Collector<health_t> heartbeats(bus_, channel::kHealth);
+  node.health().set_state(Health::State::kOk);
+  node.advance(1'000'000);
+  node.health().reject("camera.corrupt", "CAMERA at 7: no JPEG");
+  node.advance(2'000'000);
+  node.advance(9'000'000);
+  pump();
+  ASSERT_GE(heartbeats.messages.size(), 2u);
+  const health_t& during = heartbeats.messages.front();
+  EXPECT_EQ(during.service, "vio");
+  EXPECT_EQ(during.state, +health_t::DEGRADED);
+  EXPECT_EQ(during.message, "CAMERA at 7: no JPEG");
+  ASSERT_EQ(during.counters.size(), 1u);
+  EXPECT_EQ(during.counters[0].name, "rejected.camera.corrupt");
+  EXPECT_EQ(heartbeats.messages.back().state, +health_t::OK) << "a reject degrades for a few seconds, not for ever";
+}
+
+TEST_F(ReplayedNode, StopwatchReadsZeroSoThatAReplayRepeats) {
+  Node node({.service = "a"}, bus_);
+  const Stopwatch watch(node);
+  std::this_thread::sleep_for(std::chrono::milliseconds(2));
+  EXPECT_EQ(watch.ms(), 0.0);
+}
+
+// ---- live, over UDP multicast
+// -----------------------------------------------------------------------------------------
+
+class LiveNode : public testing::Test {
+ protected:
+  void SetUp() override { node_ = std::make_unique<Node>(NodeOptions{.service = "live"}); }
+  void start() {
+    thread_ = std::thread([this] { node_->run(); });
+  }
+  void TearDown() override {
+    node_->stop();
+    if (thread_.joinable()) thread_.join();
+  }
+  std::unique_ptr<Node> node_;
+  std::thread thread_;
+  lcm::LCM bus_;
+};
+
+TEST_F(LiveNode, EchoesAcrossTheBusAndSendsAHeartbeatAtOnce) {
+  ASSERT_TRUE(bus_.good());
+  node_->subscribe<imu_t>("IMU", Delivery::kAll, [this](const imu_t& m) { node_->publish("ECHO", m); });
+  Collector<imu_t> echo(bus_, "ECHO");
+  Collector<health_t> heartbeats(bus_, channel::kHealth);
+  start();
+  ASSERT_TRUE(handle_until(bus_, [&] { return !heartbeats.messages.empty(); }));
+  EXPECT_EQ(heartbeats.messages[0].service, "live");
+  EXPECT_GT(heartbeats.messages[0].pid, 0);
+  const imu_t imu = imu_at(42);
+  bus_.publish("IMU", &imu);
+  ASSERT_TRUE(handle_until(bus_, [&] { return !echo.messages.empty(); }));
+  EXPECT_EQ(echo.messages[0].utime, 42);
+}
+
+// The handler of the first message holds the node up until all others have arrived, as a slow service does.
+TEST_F(LiveNode, KeepsEveryInertialSampleAndOnlyTheLatestImages) {
+  std::atomic<int64_t> imu_count{0};
+  std::vector<int64_t> images;
+  std::atomic<bool> go{false};
+  node_->subscribe<compass_t>("HOLD", Delivery::kAll, [&](const compass_t&) {
+    while (!go) std::this_thread::yield();
+  });
+  node_->subscribe<imu_t>("IMU", Delivery::kAll, [&](const imu_t&) { ++imu_count; });
+  node_->subscribe<image_t>(
+      "CAMERA", Delivery::kLatest, [&](const image_t& m) { images.push_back(m.utime); }, 2);
+  node_->subscribe<compass_t>("DONE", Delivery::kAll, [&](const compass_t& m) { node_->publish("REPORT", m); });
+  // Through a second node: it hears everything that the first one hears.
+  Collector<compass_t> done(bus_, "DONE"), report(bus_, "REPORT");
+  start();
+  compass_t mark{};
+  bus_.publish("HOLD", &mark);
+  image_t image{};
+  image.data.resize(100'000);
+  image.size = 100'000;
+  for (int i = 1; i <= 50; ++i) {
+    for (int k = 0; k < 20; ++k) {
+      const imu_t imu = imu_at(20 * i + k);
+      bus_.publish("IMU", &imu);
+    }
+    image.utime = i;
+    bus_.publish("CAMERA", &image);
+    // Our own ear on the same bus is the pace: what it has heard, the node's socket has had too.
+    bus_.publish("DONE", &mark);
+    ASSERT_TRUE(handle_until(bus_, [&] { return static_cast<int>(done.messages.size()) == i; }));
+  }
+  go = true;
+  ASSERT_TRUE(handle_until(bus_, [&] { return report.messages.size() == 50; }));
+  node_->stop();
+  thread_.join();
+  EXPECT_EQ(imu_count, 1000);
+  EXPECT_EQ(images, (std::vector<int64_t>{49, 50}));
+}
+
+TEST_F(LiveNode, AClampedReceiveBufferIsSaidInTheHealthWithTheRemedy) {
+  node_ = std::make_unique<Node>(NodeOptions{.service = "live", .receive_buffer = 1 << 30});
+  Collector<health_t> heartbeats(bus_, channel::kHealth);
+  node_->health().set_state(Health::State::kOk);
+  start();
+  ASSERT_TRUE(handle_until(bus_, [&] { return !heartbeats.messages.empty(); }));
+  EXPECT_EQ(heartbeats.messages.back().state, +health_t::DEGRADED);
+  EXPECT_THAT(heartbeats.messages.back().message, testing::HasSubstr("net.core.rmem_max"));
+}
+
+TEST(Node, ABusThatCannotBeJoinedIsAnErrorWithItsUrl) {
+  try {
+    const Node node({.service = "a", .lcm_url = "nonsense://here"});
+    FAIL();
+  } catch (const std::runtime_error& error) {
+    EXPECT_THAT(error.what(), testing::HasSubstr("nonsense://here"));
+  }
+}
+
+}  // namespace
+}  // namespace orthonav
