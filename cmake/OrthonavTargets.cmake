@@ -67,7 +67,7 @@ function(orthonav_test name)
     set_target_properties(${name} PROPERTIES CROSSCOMPILING_EMULATOR ${CMAKE_SOURCE_DIR}/tests/support/own_bus.sh)
   endif()
   include(GoogleTest)
-  gtest_discover_tests(${name} DISCOVERY_TIMEOUT 60
-    PROPERTIES TIMEOUT ${ARG_TIMEOUT} LABELS "${ARG_LABELS}"
-    ENVIRONMENT "ORTHONAV_BIN=${CMAKE_BINARY_DIR}/bin;ORTHONAV_SOURCE=${CMAKE_SOURCE_DIR}")
+  target_compile_definitions(${name} PRIVATE
+    ORTHONAV_BIN="${CMAKE_BINARY_DIR}/bin" ORTHONAV_SOURCE="${CMAKE_SOURCE_DIR}")
+  gtest_discover_tests(${name} DISCOVERY_TIMEOUT 60 PROPERTIES TIMEOUT ${ARG_TIMEOUT} LABELS "${ARG_LABELS}")
 endfunction()

@@ -17,17 +17,12 @@
 
 namespace orthonav::test {
 
-// Where the build's programs and the source tree are, as ctest tells.
-inline std::filesystem::path from_environment(const char* name) {
-  const char* value = std::getenv(name);
-  if (value == nullptr) throw std::runtime_error(std::string(name) + " is not set: run the test through ctest");
-  return value;
-}
+// A program of this build, and the top of the source tree.
 inline std::filesystem::path program(const std::string& name) {
-  return from_environment("ORTHONAV_BIN") / name;
+  return std::filesystem::path(ORTHONAV_BIN) / name;
 }
 inline std::filesystem::path source_tree() {
-  return from_environment("ORTHONAV_SOURCE");
+  return ORTHONAV_SOURCE;
 }
 
 class ChildProcess {
