@@ -1,0 +1,344 @@
+#include "tools/simulate/flight_plan.h"
+
+#include <algorithm>
+#include <cmath>
+#include <numbers>
+#include <stdexcept>
+#include <string>
+#include <vector>
+
+#include "common/config/config.h"
+#include "common/math/so3.h"
+#include "tools/simulate/random_stream.h"
+
+namespace orthonav::simulate {
+namespace {
+
+constexpr double kDegree = std::numbers::pi / 180.0;
+constexpr double kPathStep = 0.75;          // s between control points of the position
+constexpr double kYawStep = 1.0;            // s
+constexpr double kWindStep = 0.5;           // s
+constexpr double kJitterStep = 0.12;        // s
+constexpr double kWaypointSpacing = 120.0;  // m, longest stretch of a lane without a waypoint
+constexpr double kSample = 0.02;            // s, of the nominal motion along the path
+constexpr double kBodyAboveGround = 0.15;   // m, of an aircraft on its legs
+// Standard deviation of a degree 7 spline whose control points are independent with unit variance.
+constexpr double kWhiteSplineStddev = 0.5875;
+
+struct Leg {
+  Eigen::Vector2d from, to;
+  double start = 0;       // m along the path
+  double length = 0;      // m
+  double speed = 1;       // times the mean speed
+  double exit_speed = 0;  // m/s, at its end, at most
+  double yaw = 0;         // rad, wanted heading of the nose, counter-clockwise from east
+
+  Eigen::Vector2d direction() const { return (to - from) / length; }
+};
+
+Eigen::Vector2d clamp_to(const Eigen::Vector2d& p, const Eigen::Vector2d& low, const Eigen::Vector2d& high) {
+  return p.cwiseMax(low).cwiseMin(high);
+}
+
+// Lanes over the rectangle, long enough for a path of `length`, in the order they are flown.
+std::vector<Leg> lay_lanes(const FlightOptions& options, const FlightArea& area, double length, uint64_t seed) {
+  RandomStream stream(seed, "flight.lanes");
+  const Eigen::Vector2d margin = Eigen::Vector2d::Constant(options.border_margin_m);
+  const Eigen::Vector2d low = Eigen::Vector2d(area.east_min, area.north_min) + margin;
+  const Eigen::Vector2d high = Eigen::Vector2d(area.east_max, area.north_max) - margin;
+  const Eigen::Vector2d size = high - low;
+  if (size.minCoeff() < 20.0) throw std::invalid_argument("flight: border_margin_m leaves no room over the map");
+
+  // Lanes run along the longer side; on a square, along either.
+  const bool square = std::abs(size.x() - size.y()) < 0.15 * size.maxCoeff();
+  const int along = square ? (stream.uniform(0, 1) < 0.5 ? 0 : 1) : (size.x() > size.y() ? 0 : 1);
+  const int across = 1 - along;
+  const int lanes = std::max(2, static_cast<int>(std::ceil((options.length_m - size[across]) / size[along])));
+  const double spacing = size[across] / (lanes - 1);
+  const bool flip_along = stream.uniform(0, 1) < 0.5, flip_across = stream.uniform(0, 1) < 0.5;
+
+  // Corners of the lanes, there and, for what length is left, back again.
+  std::vector<Eigen::Vector2d> corners;
+  const auto add_corner = [&](int lane, bool far) {
+    Eigen::Vector2d corner;
+    corner[along] = (far != flip_along) ? high[along] : low[along];
+    corner[across] = flip_across ? high[across] - lane * spacing : low[across] + lane * spacing;
+    corners.push_back(corner);
+  };
+  for (int lane = 0; lane < lanes; ++lane) {
+    add_corner(lane, lane % 2 == 1);
+    add_corner(lane, lane % 2 == 0);
+  }
+  const std::vector<Eigen::Vector2d> there = corners;
+  for (auto corner = there.rbegin() + 1; corner != there.rend(); ++corner) corners.push_back(*corner);
+
+  std::vector<Leg> legs;
+  double yaw = stream.uniform(-std::numbers::pi, std::numbers::pi);
+  double total = 0;
+  Eigen::Vector2d here = corners.front();
+  for (size_t i = 0; total < 1.5 * length + 100.0; ++i) {
+    // Once there and back, the flight goes round again.
+    const Eigen::Vector2d begin = corners[i % (corners.size() - 1)];
+    const Eigen::Vector2d end = corners[i % (corners.size() - 1) + 1];
+    const int pieces = std::max(1, static_cast<int>(std::ceil((end - begin).norm() / kWaypointSpacing)));
+    const Eigen::Vector2d course = (end - begin).normalized();
+    if (stream.uniform(0, 1) < options.follow_course) {
+      yaw = std::atan2(course.y(), course.x()) + stream.uniform(-10.0, 10.0) * kDegree;
+    }
+    for (int piece = 1; piece <= pieces; ++piece) {
+      const Eigen::Vector2d jitter(stream.uniform(-1, 1), stream.uniform(-1, 1));
+      Leg leg;
+      leg.from = here;
+      leg.to = clamp_to(begin + (end - begin) * piece / pieces + options.waypoint_jitter_m * jitter, low, high);
+      leg.length = (leg.to - leg.from).norm();
+      leg.speed = 1.0 + options.leg_speed_spread * stream.uniform(-1, 1);
+      leg.yaw = yaw;
+      if (leg.length < 1.0) continue;
+      leg.start = total;
+      total += leg.length;
+      here = leg.to;
+      legs.push_back(leg);
+    }
+  }
+  for (size_t i = 0; i + 1 < legs.size(); ++i) {
+    const double turn = std::acos(std::clamp(legs[i].direction().dot(legs[i + 1].direction()), -1.0, 1.0));
+    // Slower the sharper the corner; the gentle ones are flown through.
+    legs[i].exit_speed = options.turn_speed / std::max(1e-3, std::sin(0.5 * turn) / std::sin(45 * kDegree));
+  }
+  return legs;
+}
+
+size_t leg_at(const std::vector<Leg>& legs, double s) {
+  size_t i = 0;
+  while (i + 1 < legs.size() && s >= legs[i + 1].start) ++i;
+  return i;
+}
+
+Eigen::Vector2d point_at(const std::vector<Leg>& legs, double s) {
+  const Leg& leg = legs[leg_at(legs, s)];
+  return leg.from + leg.direction() * (s - leg.start);
+}
+
+// Distance flown along the legs at times k * kSample.
+std::vector<double> fly_legs(const FlightOptions& options, const std::vector<Leg>& legs, double speed, double seconds) {
+  std::vector<double> distance;
+  double s = 0;
+  double v = options.take_off ? 0 : speed * legs.front().speed;
+  for (double t = 0; t < seconds; t += kSample) {
+    distance.push_back(s);
+    const size_t i = leg_at(legs, s);
+    double allowed = speed * legs[i].speed;
+    for (size_t j = i; j < std::min(i + 3, legs.size()); ++j) {
+      const double to_corner = std::max(0.0, legs[j].start + legs[j].length - s);
+      const double exit = std::min(legs[j].exit_speed, speed * legs[j].speed);
+      allowed = std::min(allowed, std::sqrt(exit * exit + 2 * options.acceleration * to_corner));
+    }
+    v += std::clamp(allowed - v, -options.acceleration * kSample, options.acceleration * kSample);
+    v = std::max(v, 0.05);
+    s += v * kSample;
+  }
+  return distance;
+}
+
+// Distance flown as a function of time, with the legs' speed such that `length` is flown in the duration.
+std::vector<double> nominal_motion(const FlightOptions& options, const std::vector<Leg>& legs, double length) {
+  const double seconds = options.duration_s + 10.0;
+  double low = 0.05, high = 60.0;
+  std::vector<double> distance;
+  for (int i = 0; i < 40; ++i) {
+    const double speed = 0.5 * (low + high);
+    distance = fly_legs(options, legs, speed, seconds);
+    const double flown = distance[static_cast<size_t>(options.duration_s / kSample)];
+    (flown < length ? low : high) = speed;
+  }
+  if (high - low > 1e-3 || low > 59.0) {
+    throw std::invalid_argument("flight: length_m cannot be flown in duration_s with these speeds in turns");
+  }
+  return distance;
+}
+
+double at_time(const std::vector<double>& samples, double t) {
+  if (t <= 0) return samples[0] + (samples[1] - samples[0]) / kSample * t;
+  const double x = std::min(t / kSample, static_cast<double>(samples.size()) - 1.001);
+  const auto i = static_cast<size_t>(x);
+  return samples[i] + (x - static_cast<double>(i)) * (samples[i + 1] - samples[i]);
+}
+
+// Everything that does not depend on the calibration, drawn once.
+struct Planner {
+  const FlightOptions& options;
+  const FlightArea& area;
+  double gravity;
+  uint64_t seed;
+  Eigen::Vector2d start_en;                  // foot of the take-off
+  double climb_begin = 0, survey_begin = 0;  // s
+  double ground = 0, survey_height = 0;      // m in G, of the body
+
+  double end() const { return survey_begin + options.duration_s; }
+
+  // 0 on the ground, 1 in the air.
+  double airborne(double t) const {
+    return options.take_off ? std::clamp((t - climb_begin - 0.5) / 2.0, 0.0, 1.0) : 1.0;
+  }
+
+  double nominal_height(double t) const {
+    if (!options.take_off) return survey_height;
+    return std::min(survey_height, ground + options.climb_speed * std::max(0.0, t - climb_begin));
+  }
+
+  template <int Dim, class Value>
+  UniformSpline<Dim> spline(double step, Value&& value) const {
+    const size_t count = UniformSpline<Dim>::control_count(0, end(), step);
+    const double start = UniformSpline<Dim>::control_start(0, step);
+    std::vector<typename UniformSpline<Dim>::Point> control(count);
+    for (size_t i = 0; i < count; ++i) control[i] = value(start + static_cast<double>(i) * step, i);
+    return UniformSpline<Dim>(start, step, std::move(control));
+  }
+
+  std::vector<double> noise(const char* name, double step, double stddev, double time) const {
+    RandomStream stream(seed, name);
+    return correlated_noise(stream, UniformSpline<1>::control_count(0, end(), step), step, stddev, time);
+  }
+
+  UniformSpline<3> position(const std::vector<Leg>& legs, const std::vector<double>& motion) const {
+    const auto east = noise("flight.wander.east", kPathStep, options.wander_stddev_m, options.wander_time_s);
+    const auto north = noise("flight.wander.north", kPathStep, options.wander_stddev_m, options.wander_time_s);
+    // Height is held better than position.
+    const auto up = noise("flight.wander.up", kPathStep, 0.5 * options.wander_stddev_m, options.wander_time_s);
+    const auto slow = noise("flight.height", kPathStep, options.height_stddev_m, options.height_time_s);
+    return spline<3>(kPathStep, [&](double t, size_t i) {
+      const double on = airborne(t);
+      const double s = at_time(motion, t - survey_begin);
+      const Eigen::Vector2d en = options.take_off && t < survey_begin ? start_en : point_at(legs, s);
+      return Eigen::Vector3d(en.x() + on * east[i], en.y() + on * north[i], nominal_height(t) + on * (up[i] + slow[i]));
+    });
+  }
+
+  UniformSpline<1> yaw(const std::vector<Leg>& legs, const std::vector<double>& motion) const {
+    const auto wander = noise("flight.yaw", kYawStep, options.yaw_wander_deg * kDegree, 5.0);
+    double heading = legs.front().yaw;
+    return spline<1>(kYawStep, [&](double t, size_t i) {
+      const double wanted = legs[leg_at(legs, at_time(motion, t - survey_begin))].yaw;
+      const double most = options.yaw_rate_deg * kDegree * kYawStep;
+      heading += std::clamp(wrap_angle(wanted - heading), -most, most);
+      return Eigen::Matrix<double, 1, 1>(heading + airborne(t) * wander[i]);
+    });
+  }
+
+  UniformSpline<3> wind(double mean_speed) const {
+    RandomStream stream(seed, "flight.wind");
+    const double from = stream.uniform(-std::numbers::pi, std::numbers::pi);
+    const Eigen::Vector3d mean(std::cos(from), std::sin(from), 0);
+    const auto east = noise("flight.gust.east", kWindStep, options.gust_ratio, options.gust_time_s);
+    const auto north = noise("flight.gust.north", kWindStep, options.gust_ratio, options.gust_time_s);
+    const auto up = noise("flight.gust.up", kWindStep, 0.5 * options.gust_ratio, options.gust_time_s);
+    return spline<3>(kWindStep, [&](double t, size_t i) {
+      return Eigen::Vector3d(airborne(t) * mean_speed * (mean + Eigen::Vector3d(east[i], north[i], up[i])));
+    });
+  }
+
+  UniformSpline<3> jitter() const {
+    RandomStream stream(seed, "flight.jitter");
+    const double stddev = options.attitude_jitter_deg * kDegree / kWhiteSplineStddev;
+    return spline<3>(kJitterStep, [&](double t, size_t) {
+      const Eigen::Vector3d white(stream.gaussian(), stream.gaussian(), stream.gaussian());
+      return Eigen::Vector3d(airborne(t) * stddev * white);
+    });
+  }
+
+  Trajectory assemble(const UniformSpline<3>& path, const UniformSpline<1>& nose, double wind_speed) const {
+    return Trajectory({path, nose, wind(wind_speed), jitter(), options.drag, gravity, end()});
+  }
+};
+
+// The lowest surface near the beginning of the path: aircraft do not start from roofs and treetops.
+Eigen::Vector2d take_off_place(const FlightArea& area, const Eigen::Vector2d& near) {
+  Eigen::Vector2d best = near;
+  for (double north = -15; north <= 15; north += 1) {
+    for (double east = -15; east <= 15; east += 1) {
+      const Eigen::Vector2d candidate = near + Eigen::Vector2d(east, north);
+      if (area.surface(candidate) < area.surface(best)) best = candidate;
+    }
+  }
+  return best;
+}
+
+}  // namespace
+
+FlightOptions FlightOptions::from_config(ConfigNode& node) {
+  FlightOptions o;
+  node.read("duration_s", o.duration_s, 1.0, 36000.0);
+  node.read("length_m", o.length_m, 10.0, 1e5);
+  node.read("height_m", o.height_m, 5.0, 5000.0);
+  node.read("mean_tilt_deg", o.mean_tilt_deg, 0.1, 30.0);
+  node.read("border_margin_m", o.border_margin_m, 0.0, 1e4);
+  node.read("take_off", o.take_off);
+  node.read("standstill_s", o.standstill_s, 0.0, 600.0);
+  node.read("climb_speed", o.climb_speed, 0.1, 20.0);
+  node.read("leg_speed_spread", o.leg_speed_spread, 0.0, 0.9);
+  node.read("turn_speed", o.turn_speed, 0.1, 50.0);
+  node.read("acceleration", o.acceleration, 0.01, 20.0);
+  node.read("waypoint_jitter_m", o.waypoint_jitter_m, 0.0, 1000.0);
+  node.read("wander_stddev_m", o.wander_stddev_m, 0.0, 20.0);
+  node.read("wander_time_s", o.wander_time_s, 0.1, 1000.0);
+  node.read("height_stddev_m", o.height_stddev_m, 0.0, 100.0);
+  node.read("height_time_s", o.height_time_s, 0.1, 10000.0);
+  node.read("drag", o.drag, 0.001, 10.0);
+  node.read("gust_ratio", o.gust_ratio, 0.0, 5.0);
+  node.read("gust_time_s", o.gust_time_s, 0.1, 1000.0);
+  node.read("follow_course", o.follow_course, 0.0, 1.0);
+  node.read("yaw_rate_deg", o.yaw_rate_deg, 0.1, 180.0);
+  node.read("yaw_wander_deg", o.yaw_wander_deg, 0.0, 90.0);
+  node.read("attitude_jitter_deg", o.attitude_jitter_deg, 0.0, 20.0);
+  node.finish();
+  return o;
+}
+
+Trajectory plan_flight(const FlightOptions& options, const FlightArea& area, double gravity, uint64_t seed) {
+  Planner planner{options, area, gravity, seed, {}, 0, 0, 0, area.ground_height + options.height_m};
+  std::vector<Leg> legs = lay_lanes(options, area, options.length_m, seed);
+  planner.start_en = legs.front().from;
+  if (options.take_off) {
+    planner.start_en = take_off_place(area, legs.front().from);
+    legs.front().from = planner.start_en;
+    legs.front().length = (legs.front().to - legs.front().from).norm();
+    for (size_t i = 1; i < legs.size(); ++i) legs[i].start = legs[i - 1].start + legs[i - 1].length;
+    planner.ground = area.surface(planner.start_en) + kBodyAboveGround;
+    planner.climb_begin = options.standstill_s;
+    planner.survey_begin = planner.climb_begin + (planner.survey_height - planner.ground) / options.climb_speed + 2.0;
+  }
+
+  // Gusts lengthen the path and corners shorten it: correct the nominal length until the flown one is right. The
+  // part before the survey does not count.
+  double nominal = options.length_m;
+  std::vector<double> motion = nominal_motion(options, legs, nominal);
+  UniformSpline<3> path = planner.position(legs, motion);
+  const auto survey_length = [&](const UniformSpline<3>& p) {
+    double length = 0;
+    const auto steps = static_cast<int>(options.duration_s / 0.1);
+    const double step = options.duration_s / steps;
+    for (int i = 0; i < steps; ++i) length += step * p.evaluate(planner.survey_begin + (i + 0.5) * step, 1).norm();
+    return length;
+  };
+  for (int i = 0; i < 8; ++i) {
+    const double flown = survey_length(path);
+    if (std::abs(flown / options.length_m - 1) < 1e-4) break;
+    nominal *= options.length_m / flown;
+    motion = nominal_motion(options, legs, nominal);
+    path = planner.position(legs, motion);
+  }
+
+  const UniformSpline<1> nose = planner.yaw(legs, motion);
+  const double wanted_tilt = options.mean_tilt_deg * kDegree;
+  if (planner.assemble(path, nose, 0).mean_tilt() > wanted_tilt) {
+    throw std::invalid_argument("flight: the manoeuvres alone tilt the aircraft more than mean_tilt_deg");
+  }
+  double low = 0, high = 60;  // m/s
+  for (int i = 0; i < 14; ++i) {
+    const double middle = 0.5 * (low + high);
+    (planner.assemble(path, nose, middle).mean_tilt() < wanted_tilt ? low : high) = middle;
+  }
+  return planner.assemble(path, nose, 0.5 * (low + high));
+}
+
+}  // namespace orthonav::simulate
