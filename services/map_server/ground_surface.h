@@ -1,0 +1,52 @@
+// Height of the ground below a map: flat at one ellipsoidal height, or from an elevation model.
+#pragma once
+
+#include <filesystem>
+#include <memory>
+#include <vector>
+
+#include <Eigen/Core>
+#include <opencv2/core.hpp>
+
+#include "common/geo/enu_frame.h"
+#include "common/geo/raster.h"
+
+namespace orthonav::map_server {
+
+struct GroundPoint {
+  Geodetic position;   // on the ground
+  double up = 0;       // m in G
+  bool known = false;  // false: the elevation model has no data there; the reference height was taken
+};
+
+// Not thread-safe.
+class GroundSurface {
+ public:
+  // Flat ground, m above the ellipsoid.
+  explicit GroundSurface(double height);
+
+  // An elevation model of ellipsoidal heights, any raster; the part around `area` is held in memory. Bilinear.
+  // Throws std::runtime_error naming the file when it cannot be read or has no data in the area.
+  GroundSurface(const std::filesystem::path& model, const std::vector<Geodetic>& area);
+
+  bool has_model() const { return model_ != nullptr; }
+
+  // The flat ground's height, or the median height of the model in the area: z = 0 of G.
+  double reference_height() const { return reference_height_; }
+
+  // `position` with the ground's height at its latitude and longitude.
+  Geodetic at(const Geodetic& position) const;
+
+  // The ground where G's east and north have these values.
+  GroundPoint below(const EnuFrame& frame, const Eigen::Vector2d& en) const;
+
+ private:
+  double height_at(const Geodetic& position) const;  // NaN without data
+
+  double reference_height_;
+  std::unique_ptr<Raster> model_;
+  cv::Point corner_;  // of heights_ in the model's raster
+  cv::Mat heights_;   // CV_32F
+};
+
+}  // namespace orthonav::map_server

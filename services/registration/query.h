@@ -1,0 +1,68 @@
+// Turns a keyframe into a query of the map: equations (5) and (6).
+//
+// The undistorted image is turned by its heading and scaled to the map's pixels by one similarity. The paper turns by
+// the compass heading; a camera that is tilted or mounted askew needs the heading of the image's own axes on the
+// ground, which follows from the compass heading, the odometry's roll and pitch and the extrinsics.
+#pragma once
+
+#include <cmath>
+#include <string>
+#include <vector>
+
+#include <Eigen/Core>
+#include <opencv2/core.hpp>
+
+#include "common/camera/camera_model.h"
+#include "common/features/fixed_sift.h"
+#include "services/registration/types.h"
+
+namespace orthonav::registration {
+
+struct QueryOptions {
+  double max_reprojection_error = 8;  // pixels; points with more are left out
+  int min_points = 20;                // a keyframe needs more than this number of points
+  double max_tilt = M_PI / 4;             // rad, of the optical axis from the vertical: beyond, one similarity cannot fit
+};
+
+// The rotation about z that takes W to G, (7): so that the body's x axis has this true heading.
+Eigen::Matrix3d rotation_G_W(const Eigen::Quaterniond& q_W_B, double true_heading);
+
+// From undistorted image coordinates (x, y at z = 1) to pixels of the turned and scaled image:
+//   q = scale R(angle) (x, y) + origin.
+// Its pixels are sigma metres wide, u points east and v south.
+struct ImageSimilarity {
+  double scale = 0;  // pixels per unit: height / sigma
+  double angle = 0;  // rad
+  Eigen::Vector2d origin = Eigen::Vector2d::Zero();  // where the optical axis falls
+  cv::Size size;     // of the turned image
+
+  Eigen::Vector2d apply(const Eigen::Vector2d& xy) const;
+  Eigen::Vector2d invert(const Eigen::Vector2d& pixel) const;
+};
+
+// The similarity nearest to the view of flat ground `height` below the camera, at the image's centre.
+// Throws std::invalid_argument when the camera does not look down or the image would be unreasonably large or small.
+ImageSimilarity view_similarity(const CameraModel& camera, const Eigen::Matrix3d& R_G_C, double height,
+                                double metres_per_pixel, double max_tilt);
+
+// One queried feature, Q_k of equation (6).
+struct QueryPoint {
+  int index = -1;          // in Keyframe::points; -1: a point of the detector
+  Eigen::Vector2d ray;     // undistorted image coordinates at z = 1
+  Eigen::Vector2d pixel;   // in the turned and scaled image
+};
+
+struct Query {
+  std::string refused;  // why the keyframe cannot be registered; empty when it can
+  Eigen::Matrix3d R_G_W = Eigen::Matrix3d::Identity();
+  ImageSimilarity similarity;
+  std::vector<QueryPoint> points;
+  cv::Mat descriptors;  // CV_8U, one row of 128 per point
+};
+
+// Describes a keyframe. `image` is the raw grey image of its time. With map.keypoint_size 0 the SIFT detector chooses
+// the points. Bad input (NaN, height <= 0, wrong image size, too few points) gives a refusal, never an exception.
+Query make_query(const Keyframe& keyframe, const cv::Mat& image, const CameraModel& camera, double true_heading,
+                 const MapGeometry& map, const QueryOptions& options);
+
+}  // namespace orthonav::registration

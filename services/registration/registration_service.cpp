@@ -1,0 +1,280 @@
+#include "services/registration/registration_service.h"
+
+#include <algorithm>
+#include <chrono>
+#include <cmath>
+#include <limits>
+
+#include <fmt/format.h>
+#include <spdlog/spdlog.h>
+
+#include "common/bus/channels.h"
+#include "common/camera/image_decode.h"
+#include "common/math/so3.h"
+#include "orthonav/map_tile_request_t.hpp"
+#include "services/registration/keyframe_message.h"
+
+namespace orthonav::registration {
+namespace {
+
+constexpr double kRadian = M_PI / 180.0;
+// Keyframes without a compass sample after them, waiting: more mean that the compass has stopped.
+constexpr size_t kMaxPending = 16;
+
+}  // namespace
+
+RegistrationService::Setup RegistrationService::read(const std::filesystem::path& config_folder) {
+  ServiceOptions options;
+  ConfigNode node = ConfigNode::load(config_folder / "registration.yaml");
+  options.registrar = RegistrarOptions::from_config(node);
+  double stddev_deg = options.default_heading_stddev / kRadian;
+  node.read("default_heading_stddev_deg", stddev_deg, 0, 180);
+  options.default_heading_stddev = stddev_deg * kRadian;
+  node.read("max_compass_gap", options.max_compass_gap, 0, 60);
+  node.read("image_buffer", options.image_buffer, 1, 10000);
+  ConfigNode map = node.child_or_empty("map");
+  map.read("max_features", options.max_features);
+  map.read("max_outstanding_tiles", options.max_outstanding_tiles, 1, 100'000);
+  map.read("request_period_ms", options.request_period_ms, 1, 60'000);
+  map.read("retry_ms", options.retry_ms, 1, 600'000);
+  map.finish();
+  node.finish();
+  // aircraft.yaml has parts that are other services' to read, so not every key of it is known here.
+  ConfigNode aircraft = ConfigNode::load(config_folder / "aircraft.yaml");
+  ConfigNode camera = aircraft.child("camera");
+  double declination_deg = 0;
+  aircraft.require("magnetic_declination_deg", declination_deg);
+  options.declination = declination_deg * kRadian;
+  return {options, CameraModel::from_config(camera)};
+}
+
+RegistrationService::RegistrationService(Node& node, const std::filesystem::path& config_folder)
+    : RegistrationService(node, read(config_folder)) {}
+
+RegistrationService::RegistrationService(Node& node, const Setup& setup)
+    : node_(node),
+      options_(setup.options),
+      camera_(setup.camera),
+      registrar_(setup.options.registrar, setup.camera),
+      headings_(static_cast<int64_t>(setup.options.max_compass_gap * 1e6)) {
+  node_.subscribe<image_t>(
+      channel::kCamera, Delivery::kLatest, [this](const image_t& image) { handle(image); }, 30);
+  node_.subscribe<compass_t>(channel::kCompass, Delivery::kAll, [this](const compass_t& compass) { handle(compass); });
+  // A fix is worth more fresh than complete: whoever is behind goes on with the newest keyframe.
+  node_.subscribe<vio_keyframe_t>(channel::kVioKeyframe, Delivery::kLatest,
+                                  [this](const vio_keyframe_t& keyframe) { handle(keyframe); });
+  node_.subscribe<map_info_t>(
+      channel::kMapInfo, Delivery::kLatest, [this](const map_info_t& info) { handle(info); });
+  node_.subscribe<map_tile_t>(channel::kMapTile, Delivery::kAll, [this](const map_tile_t& tile) { handle(tile); });
+  node_.every(std::chrono::milliseconds(options_.request_period_ms), [this] { request_tiles(); });
+  node_.every(std::chrono::seconds(1), [this] { report_state(); });
+  report_state();
+}
+
+void RegistrationService::handle(const image_t& image) {
+  node_.health().add("camera.received");
+  newest_data_ = std::max(newest_data_, image.utime);
+  // Decoded only when a keyframe asks for it: most frames are none.
+  images_.insert_or_assign(image.utime, image);
+  while (static_cast<int>(images_.size()) > options_.image_buffer) images_.erase(images_.begin());
+  process_pending();
+}
+
+void RegistrationService::handle(const compass_t& compass) {
+  node_.health().add("compass.received");
+  Heading heading;
+  heading.value = true_heading(compass.heading, options_.declination);
+  heading.stddev = std::isfinite(compass.heading_stddev) && compass.heading_stddev > 0 ? compass.heading_stddev
+                                                                                       : options_.default_heading_stddev;
+  if (!std::isfinite(compass.heading) || !headings_.add(compass.utime, heading)) {
+    node_.health().reject("compass", std::isfinite(compass.heading) ? "compass samples are out of order"
+                                                                    : "compass heading is not a number");
+    return;
+  }
+  newest_data_ = std::max(newest_data_, compass.utime);
+  process_pending();
+}
+
+void RegistrationService::handle(const map_info_t& info) {
+  if (info_ && info.fingerprint == info_->fingerprint) return;
+  if (info.fingerprint == problem_fingerprint_ && !map_problem_.empty()) return;
+  if (info_) spdlog::info("another map: {} in place of {}", info.map_name, info_->map_name);
+  info_.reset();
+  registrar_.clear_map();
+  store_ = TileStore();
+  const MapLayout layout{info.fingerprint, info.tile_columns, info.tile_rows, info.num_features, options_.max_features};
+  map_problem_ = layout.problem();
+  if (map_problem_.empty() && info.descriptor_size != kSiftBytes) {
+    map_problem_ = fmt::format("map has descriptors of {} bytes", info.descriptor_size);
+  }
+  const bool detected = info.keypoint_size == 0;
+  if (map_problem_.empty() && !(info.metres_per_pixel > 0 && std::isfinite(info.metres_per_pixel) &&
+                                (detected || (info.keypoint_size >= 2 && info.keypoint_size <= 128)) &&
+                                std::isfinite(info.anchor_latitude_deg) && std::isfinite(info.anchor_longitude_deg) &&
+                                std::isfinite(info.anchor_height))) {
+    map_problem_ = "map's pixel size, keypoint size or anchor is out of range";
+  }
+  const bool wants_detected = options_.registrar.method == Method::kM2;
+  if (map_problem_.empty() && detected != wants_detected) {
+    map_problem_ = fmt::format("method {} needs a map with features: {} (map_server.yaml)",
+                               name_of(options_.registrar.method), wants_detected ? "sift" : "grid");
+  }
+  if (map_problem_.empty()) {
+    info_ = info;
+    store_ = TileStore(layout);
+    frame_ = EnuFrame({info.anchor_latitude_deg, info.anchor_longitude_deg, info.anchor_height});
+  } else {
+    problem_fingerprint_ = info.fingerprint;
+    node_.health().add("map.rejected");
+  }
+  report_state();
+}
+
+void RegistrationService::request_tiles() {
+  if (!info_ || registrar_.has_map()) return;
+  map_tile_request_t request;
+  request.utime = node_.now();
+  request.client = "registration";
+  request.fingerprint = info_->fingerprint;
+  request.tile = store_.ask(request.utime, options_.max_outstanding_tiles, 1000LL * options_.retry_ms);
+  request.num_tiles = static_cast<int32_t>(request.tile.size());
+  if (request.num_tiles > 0) node_.publish(channel::kMapTileRequest, request);
+  node_.health().set("map.tiles_asked_again", static_cast<double>(store_.num_asked_again()));
+}
+
+void RegistrationService::handle(const map_tile_t& tile) {
+  if (!info_ || registrar_.has_map()) return;  // for another client
+  if (tile.fingerprint != info_->fingerprint) {
+    node_.health().add("map.parts_of_another_map");
+    return;
+  }
+  TilePart part{tile.tile, tile.part, tile.num_parts, {}, {}};
+  std::vector<float> positions;
+  positions.reserve(3 * tile.position.size());
+  for (const auto& position : tile.position) positions.insert(positions.end(), position.begin(), position.end());
+  part.positions = positions;
+  part.descriptors = {tile.descriptors.data(), tile.descriptors.size()};
+  switch (store_.add(part, node_.now())) {
+    case TileStore::Outcome::kAccepted:
+      node_.health().add("map.parts_received");
+      break;
+    case TileStore::Outcome::kDuplicate:
+      node_.health().add("map.parts_repeated");
+      break;
+    case TileStore::Outcome::kMalformed:
+      node_.health().reject("map_tile", fmt::format("part {} of map tile {} is malformed", tile.part, tile.tile));
+      break;
+  }
+  if (store_.complete()) take_map();
+}
+
+void RegistrationService::take_map() {
+  const MapLayout layout = store_.layout();
+  if (store_.num_features() != layout.num_features) {
+    node_.health().reject("map", fmt::format("map has {} features in its tiles, {} were announced: fetching it again",
+                                             store_.num_features(), layout.num_features));
+    store_ = TileStore(layout);
+    return;
+  }
+  registrar_.set_map(store_.take(), {info_->metres_per_pixel, info_->keypoint_size, info_->keypoint_stride});
+  spdlog::info("map {} is here: {} features", info_->map_name, layout.num_features);
+  node_.health().set("map.features", static_cast<double>(layout.num_features));
+  report_state();
+}
+
+void RegistrationService::handle(const vio_keyframe_t& keyframe) {
+  node_.health().add("keyframes.received");
+  if (!registrar_.has_map()) {
+    node_.health().add("keyframes.before_map");
+    return;
+  }
+  pending_.push_back(keyframe);
+  process_pending();
+}
+
+void RegistrationService::process_pending() {
+  const auto max_gap = static_cast<int64_t>(options_.max_compass_gap * 1e6);
+  while (!pending_.empty()) {
+    const int64_t utime = pending_.front().utime;
+    const bool ready = headings_.covers(utime) || newest_data_ - utime > max_gap || pending_.size() > kMaxPending;
+    if (!ready) return;
+    const vio_keyframe_t keyframe = std::move(pending_.front());
+    pending_.pop_front();
+    if (registrar_.has_map()) register_keyframe(keyframe);
+  }
+}
+
+void RegistrationService::register_keyframe(const vio_keyframe_t& message) {
+  const Stopwatch total(node_);
+  map_fix_t out{};
+  Fix fix;
+  const std::optional<Heading> heading = headings_.at(message.utime);
+  const auto image = images_.find(message.utime);
+  if (!heading) {
+    fix.reason = fmt::format("no compass heading within {} s", options_.max_compass_gap);
+    node_.health().reject("keyframe.no_heading", fix.reason);
+  } else if (image == images_.end()) {
+    fix.reason = "no image of the keyframe's time";
+    node_.health().reject("keyframe.no_image", fix.reason);
+  } else {
+    const Stopwatch describing(node_);
+    const DecodedImage decoded = decode_image(image->second, camera_.width(), camera_.height());
+    if (!decoded.ok()) {
+      fix.reason = decoded.error;
+      node_.health().reject("camera", "image of a keyframe: " + decoded.error);
+    } else {
+      const Keyframe keyframe = keyframe_of(message);
+      const Query query = registrar_.describe(keyframe, decoded.grey, *heading);
+      out.describe_ms = describing.ms();
+      const Stopwatch matching(node_);
+      const auto matches = registrar_.match(query);
+      out.match_ms = matching.ms();
+      const Stopwatch solving(node_);
+      fix = registrar_.solve(keyframe, query, matches, *heading);
+      out.solve_ms = solving.ms();
+    }
+  }
+  out.total_ms = total.ms();
+  publish(message, fix, heading, out);
+}
+
+void RegistrationService::publish(const vio_keyframe_t& keyframe, const Fix& fix, const std::optional<Heading>& heading,
+                                  map_fix_t& out) {
+  fill_fix(fix, frame_, out);
+  out.utime = keyframe.utime;
+  out.session = keyframe.session;
+  out.keyframe_id = keyframe.id;
+  out.method = name_of(options_.registrar.method);
+  out.map_fingerprint = info_->fingerprint;
+  const double nan = std::numeric_limits<double>::quiet_NaN();
+  const double full_turn = 2 * M_PI;
+  out.heading = heading ? std::fmod(heading->value + full_turn, full_turn) : nan;
+  out.heading_stddev = heading ? heading->stddev : nan;
+  node_.publish(channel::kMapFix, out);
+  ++num_tried_;
+  if (fix.valid) ++num_fixes_;
+  node_.health().set("fixes.tried", static_cast<double>(num_tried_));
+  node_.health().set("fixes.valid", static_cast<double>(num_fixes_));
+}
+
+void RegistrationService::report_state() {
+  Health& health = node_.health();
+  if (!map_problem_.empty()) {
+    health.set_state(Health::State::kFailed, map_problem_);
+  } else if (!info_) {
+    health.set_state(Health::State::kStarting, "waiting for MAP_INFO: does orthonav-map-server run on this bus?");
+  } else if (!registrar_.has_map()) {
+    health.set_state(Health::State::kStarting, fmt::format("fetching the map: {} of {} tiles", store_.num_complete(),
+                                                           store_.num_tiles()));
+  } else if (health.counter("compass.received") == 0) {
+    health.set_state(Health::State::kStarting, "waiting for COMPASS");
+  } else if (health.counter("camera.received") == 0) {
+    health.set_state(Health::State::kStarting, "waiting for CAMERA");
+  } else if (num_tried_ == 0) {
+    health.set_state(Health::State::kStarting, "waiting for VIO_KEYFRAME: has the odometry initialised?");
+  } else {
+    health.set_state(Health::State::kOk);
+  }
+}
+
+}  // namespace orthonav::registration

@@ -1,0 +1,83 @@
+// Registration on the bus: fetches the map from the map server, keeps the images and compass headings of the last
+// seconds, registers every keyframe of the odometry and says where it is (MAP_FIX), or why it does not know.
+#pragma once
+
+#include <deque>
+#include <filesystem>
+#include <map>
+#include <optional>
+#include <cmath>
+#include <string>
+
+#include "common/bus/node.h"
+#include "common/bus/service_main.h"
+#include "common/geo/enu_frame.h"
+#include "orthonav/compass_t.hpp"
+#include "orthonav/image_t.hpp"
+#include "orthonav/map_fix_t.hpp"
+#include "orthonav/map_info_t.hpp"
+#include "orthonav/map_tile_t.hpp"
+#include "orthonav/vio_keyframe_t.hpp"
+#include "services/registration/heading_buffer.h"
+#include "services/registration/registrar.h"
+#include "services/registration/tile_store.h"
+
+namespace orthonav::registration {
+
+struct ServiceOptions {
+  RegistrarOptions registrar;
+  double declination = 0;               // rad, east positive, of aircraft.yaml
+  double default_heading_stddev = M_PI / 60;  // rad, where the compass does not say
+  double max_compass_gap = 0.3;         // s between a keyframe and the compass samples used for it
+  int image_buffer = 100;               // images kept for keyframes to come
+  int64_t max_features = 2'000'000;     // of a map
+  int max_outstanding_tiles = 64;       // asked for and not yet here
+  int request_period_ms = 50;
+  int retry_ms = 1000;                  // after which a tile is asked for again
+};
+
+class RegistrationService : public Service {
+ public:
+  // Reads registration.yaml and, of aircraft.yaml, `camera` and `magnetic_declination_deg`. Throws ConfigError.
+  RegistrationService(Node& node, const std::filesystem::path& config_folder);
+
+ private:
+  struct Setup {
+    ServiceOptions options;
+    CameraModel camera;
+  };
+  static Setup read(const std::filesystem::path& config_folder);
+  RegistrationService(Node& node, const Setup& setup);
+
+  void handle(const image_t& image);
+  void handle(const compass_t& compass);
+  void handle(const map_info_t& info);
+  void handle(const map_tile_t& tile);
+  void handle(const vio_keyframe_t& keyframe);
+  void request_tiles();
+  void take_map();
+  void process_pending();
+  void register_keyframe(const vio_keyframe_t& keyframe);
+  void publish(const vio_keyframe_t& keyframe, const Fix& fix, const std::optional<Heading>& heading, map_fix_t& out);
+  void report_state();
+
+  Node& node_;
+  ServiceOptions options_;
+  CameraModel camera_;
+  Registrar registrar_;
+
+  std::map<int64_t, image_t> images_;  // by utime
+  HeadingBuffer headings_;
+  std::deque<vio_keyframe_t> pending_;  // waiting for the compass sample after them
+  int64_t newest_data_ = 0;             // utime of the newest image or compass sample
+
+  std::optional<map_info_t> info_;  // of the map being fetched or in use
+  std::string map_problem_;         // why the map on offer cannot be used
+  std::string problem_fingerprint_;
+  TileStore store_;
+  EnuFrame frame_{Geodetic{}};
+  int64_t num_fixes_ = 0;
+  int64_t num_tried_ = 0;
+};
+
+}  // namespace orthonav::registration

@@ -1,0 +1,51 @@
+// What registration works on, free of any message type.
+#pragma once
+
+#include <cstdint>
+#include <vector>
+
+#include <Eigen/Core>
+#include <Eigen/Geometry>
+#include <opencv2/core.hpp>
+
+#include "common/camera/camera_model.h"
+
+namespace orthonav::registration {
+
+// A corner tracked by the odometry, with the point (2) it gives it.
+struct TrackedPoint {
+  int64_t id = -1;
+  Eigen::Vector2d pixel = Eigen::Vector2d::Zero();  // raw image, pixels
+  Eigen::Vector3d ray_C = Eigen::Vector3d::UnitZ();  // undistorted, z = 1
+  Eigen::Vector3d p_W = Eigen::Vector3d::Zero();     // m
+  double reprojection_error = 0;                     // pixels
+};
+
+struct Keyframe {
+  Eigen::Vector3d p_W_B = Eigen::Vector3d::Zero();
+  Eigen::Quaterniond q_W_B = Eigen::Quaterniond::Identity();
+  Extrinsics extrinsics;
+  double height_above_ground = 0;  // m
+  std::vector<TrackedPoint> points;
+};
+
+// True heading of the body's x axis, clockwise from true north.
+struct Heading {
+  double value = 0;   // rad
+  double stddev = 0;  // rad
+};
+
+// The map's features: l_j of equation (3) in G and their descriptors.
+struct MapFeatures {
+  std::vector<Eigen::Vector3f> positions;  // m
+  cv::Mat descriptors;                     // CV_8U, one row of 128 per position
+};
+
+// What of the map the query must know.
+struct MapGeometry {
+  double metres_per_pixel = 0;  // sigma
+  double keypoint_size = 0;     // map pixels; 0: the detector's own
+  double keypoint_stride = 0;   // map pixels; 0: the detector's own
+};
+
+}  // namespace orthonav::registration
