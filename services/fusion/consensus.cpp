@@ -1,0 +1,78 @@
+#include "services/fusion/consensus.h"
+
+#include <algorithm>
+#include <cmath>
+
+#include <Eigen/Cholesky>
+
+#include "common/math/so3.h"
+
+namespace orthonav::fusion {
+namespace {
+
+Eigen::Vector3d turn(double yaw, const Eigen::Vector3d& v) {
+  return Eigen::AngleAxisd(yaw, Eigen::Vector3d::UnitZ()) * v;
+}
+
+}  // namespace
+
+double disagreement(const Sighting& a, const Sighting& b, double scale_stddev) {
+  // Both headings come from one compass: the difference between them is no evidence, their mean is the estimate.
+  const double yaw = a.yaw_G_W + 0.5 * wrap_angle(b.yaw_G_W - a.yaw_G_W);
+  const double yaw_stddev = std::max(a.yaw_stddev, b.yaw_stddev);
+  const Eigen::Vector3d moved = turn(yaw, b.keyframe.p_W_B - a.keyframe.p_W_B);
+  const Eigen::Vector3d sideways = Eigen::Vector3d::UnitZ().cross(moved);
+  const Eigen::Matrix3d covariance = a.covariance + b.covariance +
+                                     yaw_stddev * yaw_stddev * sideways * sideways.transpose() +
+                                     scale_stddev * scale_stddev * moved * moved.transpose();
+  const Eigen::Vector3d error = (b.p_G_B - a.p_G_B) - moved;
+  return error.dot(covariance.ldlt().solve(error));
+}
+
+std::optional<Consensus> find_consensus(const std::vector<Sighting>& sightings, size_t needed, double max_distance,
+                                        double scale_stddev) {
+  if (sightings.empty()) return std::nullopt;
+  auto agree = [&](size_t a, size_t b) {
+    return a == b || disagreement(sightings[a], sightings[b], scale_stddev) < max_distance * max_distance;
+  };
+  // Those that agree with the newest; mostly too few, and the search ends here.
+  std::vector<size_t> near;
+  for (size_t i = 0; i < sightings.size(); ++i) {
+    if (agree(i, sightings.size() - 1)) near.push_back(i);
+  }
+  Consensus best;
+  for (size_t k = near.size(); k-- > 0 && near.size() >= needed;) {
+    Consensus consensus;
+    for (const size_t other : near) {
+      if (agree(near[k], other)) consensus.members.push_back(other);
+    }
+    // From the newest on: it wins a draw, because less odometry lies between it and now.
+    if (consensus.members.size() > best.members.size()) best = consensus;
+  }
+  if (best.members.size() < needed) return std::nullopt;
+
+  std::vector<size_t> others;
+  for (size_t i = 0; i < sightings.size(); ++i) {
+    if (!std::binary_search(best.members.begin(), best.members.end(), i)) others.push_back(i);
+  }
+  for (const size_t centre : others) {
+    const auto count = std::count_if(others.begin(), others.end(), [&](size_t i) { return agree(centre, i); });
+    best.rivals = std::max(best.rivals, static_cast<size_t>(count));
+  }
+  return best;
+}
+
+Placement place(const std::vector<Sighting>& members) {
+  Placement result;
+  if (members.empty()) return result;
+  double offset = 0.0;
+  for (const Sighting& member : members) offset += wrap_angle(member.yaw_G_W - members.back().yaw_G_W);
+  const auto n = static_cast<double>(members.size());
+  result.yaw_G_W = wrap_angle(members.back().yaw_G_W + offset / n);
+  for (const Sighting& member : members) {
+    result.p_G_W += (member.p_G_B - turn(result.yaw_G_W, member.keyframe.p_W_B)) / n;
+  }
+  return result;
+}
+
+}  // namespace orthonav::fusion

@@ -1,0 +1,48 @@
+// Which fixes agree with each other about the motion that the odometry saw between them.
+//
+// Wrong fixes come in runs (the same field looks like the next one), so that a single fix proves nothing and a robust
+// loss is not enough. But a wrong place seldom moves with the aircraft for long. This is the evidence for a first lock,
+// and for leaving a wrong one.
+#pragma once
+
+#include <optional>
+#include <vector>
+
+#include <Eigen/Core>
+
+#include "services/fusion/types.h"
+
+namespace orthonav::fusion {
+
+// A fix beside the odometry's pose at the same keyframe.
+struct Sighting {
+  Keyframe keyframe;
+  Fix fix;
+  Eigen::Vector3d p_G_B = Eigen::Vector3d::Zero();           // the fix in the graph's G
+  Eigen::Matrix3d covariance = Eigen::Matrix3d::Identity();  // of p_G_B, with floors
+  double yaw_G_W = 0.0;                                      // rad, from the fix's heading
+  double yaw_stddev = 0.0;                                   // rad
+};
+
+// Square of the Mahalanobis distance between the motion of the fixes and that of the odometry, from a to b.
+// `scale_stddev`: of the odometry's scale, as a fraction.
+double disagreement(const Sighting& a, const Sighting& b, double scale_stddev);
+
+struct Consensus {
+  std::vector<size_t> members;  // indices, growing; the newest sighting is among them
+  size_t rivals = 0;            // size of the largest set that agrees among the others
+};
+
+// The largest set of at least `needed` sightings that all agree with the last one and with one of them; nullopt when
+// there is none. Linear in their number while there is none, quadratic otherwise.
+std::optional<Consensus> find_consensus(const std::vector<Sighting>& sightings, size_t needed, double max_distance,
+                                        double scale_stddev);
+
+// Rotation about z and translation from W to G that fits the members best: their mean.
+struct Placement {
+  double yaw_G_W = 0.0;
+  Eigen::Vector3d p_G_W = Eigen::Vector3d::Zero();
+};
+Placement place(const std::vector<Sighting>& members);
+
+}  // namespace orthonav::fusion

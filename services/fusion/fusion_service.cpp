@@ -1,0 +1,174 @@
+#include "services/fusion/fusion_service.h"
+
+#include <algorithm>
+#include <cmath>
+
+#include <fmt/format.h>
+
+#include "common/bus/channels.h"
+#include "common/math/so3.h"
+#include "orthonav/nav_state_t.hpp"
+
+namespace orthonav {
+namespace {
+
+using fusion::Outcome;
+using RowMajor3 = Eigen::Matrix<double, 3, 3, Eigen::RowMajor>;
+using RowMajor6 = Eigen::Matrix<double, 6, 6, Eigen::RowMajor>;
+
+Eigen::Vector3d vector_of(const double (&v)[3]) {
+  return Eigen::Vector3d(v[0], v[1], v[2]);
+}
+Eigen::Quaterniond quaternion_of(const double (&q)[4]) {
+  return Eigen::Quaterniond(q[0], q[1], q[2], q[3]);
+}
+void put(const Eigen::Vector3d& v, double (&out)[3]) {
+  std::copy_n(v.data(), 3, out);
+}
+
+void put(const Eigen::Quaterniond& q, double (&out)[4]) {
+  out[0] = q.w();
+  out[1] = q.x();
+  out[2] = q.y();
+  out[3] = q.z();
+}
+
+nav_state_t message_of(const fusion::Solution& solution) {
+  nav_state_t nav;
+  nav.utime = solution.utime;
+  nav.mode = static_cast<int8_t>(solution.mode);
+  nav.session = solution.session;
+  nav.latitude_deg = solution.position.latitude_deg;
+  nav.longitude_deg = solution.position.longitude_deg;
+  nav.ellipsoidal_height = solution.position.height;
+  nav.anchor_latitude_deg = solution.anchor.latitude_deg;
+  nav.anchor_longitude_deg = solution.anchor.longitude_deg;
+  nav.anchor_height = solution.anchor.height;
+  put(solution.p_G_B, nav.p_G_B);
+  put(solution.v_G_B, nav.v_G_B);
+  put(solution.q_G_B, nav.q_G_B);
+  Eigen::Map<RowMajor6>(nav.covariance) = solution.covariance;
+  nav.time_since_fix = solution.time_since_fix;
+  nav.num_fixes = solution.num_fixes;
+  nav.reset_counter = solution.reset_counter;
+  return nav;
+}
+
+}  // namespace
+
+FusionService::FusionService(Node& node, const std::filesystem::path& config_folder)
+    : node_(node), fusion_(fusion::FusionOptions::load(config_folder / "fusion.yaml")) {
+  node_.health().set_state(Health::State::kStarting, "waiting for the odometry (VIO_STATE)");
+  node_.subscribe<vio_state_t>(channel::kVioState, Delivery::kAll, [this](const vio_state_t& m) { on_state(m); });
+  node_.subscribe<vio_keyframe_t>(channel::kVioKeyframe, Delivery::kAll,
+                                  [this](const vio_keyframe_t& m) { on_keyframe(m); });
+  node_.subscribe<map_fix_t>(channel::kMapFix, Delivery::kAll, [this](const map_fix_t& m) { on_fix(m); });
+}
+
+void FusionService::on_state(const vio_state_t& message) {
+  fusion::OdometryState state;
+  state.utime = message.utime;
+  state.session = message.session;
+  state.has_pose = message.status != vio_state_t::INITIALISING;
+  state.p_W_B = vector_of(message.p_W_B);
+  state.q_W_B = quaternion_of(message.q_W_B);
+  state.v_W_B = vector_of(message.v_W_B);
+  const fusion::Fusion::Propagated propagated = fusion_.propagate(state);
+  node_.health().add("states.received");
+  if (propagated.outcome != Outcome::kUsed) {
+    node_.health().reject(fmt::format("state.{}", to_string(propagated.outcome)),
+                          "odometry states refused: look at the health of vio");
+  }
+  nav_state_t nav = message_of(propagated.solution);
+  nav.height_above_ground = message.height_above_ground;
+  nav.processing_ms = solve_ms_;
+  node_.publish(channel::kNavState, nav);
+  report_mode(propagated.solution);
+}
+
+void FusionService::on_keyframe(const vio_keyframe_t& message) {
+  fusion::Keyframe keyframe;
+  keyframe.utime = message.utime;
+  keyframe.session = message.session;
+  keyframe.id = message.id;
+  keyframe.p_W_B = vector_of(message.p_W_B);
+  keyframe.q_W_B = quaternion_of(message.q_W_B);
+  keyframe.height_above_ground = message.height_above_ground;
+  keyframe.relative_covariance = Eigen::Map<const RowMajor6>(message.relative_covariance);
+  const Outcome outcome = fusion_.add_keyframe(keyframe);
+  node_.health().add("keyframes.received");
+  if (outcome != Outcome::kUsed) {
+    node_.health().reject(fmt::format("keyframe.{}", to_string(outcome)),
+                          "keyframes refused: look at the health of vio");
+    if (outcome != Outcome::kJump) return;
+  }
+  if (keyframe.session == last_keyframe_session_ && keyframe.id > last_keyframe_id_ + 1) {
+    node_.health().add("keyframes.missed", keyframe.id - last_keyframe_id_ - 1);
+  }
+  last_keyframe_session_ = keyframe.session;
+  last_keyframe_id_ = keyframe.id;
+  node_.health().set("graph.nodes", fusion_.graph_size());
+}
+
+void FusionService::on_fix(const map_fix_t& message) {
+  node_.health().add("fixes.received");
+  if (!message.valid) {
+    node_.health().add("fixes.invalid");
+    return;
+  }
+  fusion::Fix fix;
+  fix.utime = message.utime;
+  fix.session = message.session;
+  fix.keyframe_id = message.keyframe_id;
+  fix.position = {message.latitude_deg, message.longitude_deg, message.ellipsoidal_height};
+  fix.anchor = {message.anchor_latitude_deg, message.anchor_longitude_deg, message.anchor_height};
+  fix.covariance = Eigen::Map<const RowMajor3>(message.position_covariance);
+  const Eigen::Quaterniond q_G_B = quaternion_of(message.q_G_B);
+  fix.heading = q_G_B.coeffs().allFinite() ? heading_of(q_G_B.normalized()) : message.heading;
+  fix.heading_stddev = message.heading_stddev;
+
+  const Stopwatch watch(node_);
+  const Outcome outcome = fusion_.add_fix(fix);
+  switch (outcome) {
+    case Outcome::kLocked:
+    case Outcome::kRelocked:
+      node_.health().add(fmt::format("fixes.{}", to_string(outcome)));
+      [[fallthrough]];
+    case Outcome::kUsed:
+      solve_ms_ = watch.ms();
+      node_.health().add("fixes.used");
+      node_.health().set("solve.ms", solve_ms_);
+      node_.health().set("graph.nodes", fusion_.graph_size());
+      node_.health().set("odometry.scale", fusion_.scale());
+      break;
+    case Outcome::kWaiting:
+    case Outcome::kOutlier:
+      // Part of the work: a service is not degraded because it does not believe everything.
+      node_.health().add(fmt::format("fixes.{}", to_string(outcome)));
+      break;
+    default:
+      node_.health().reject(fmt::format("fix.{}", to_string(outcome)),
+                            "fixes refused: look at the health of registration");
+  }
+}
+
+void FusionService::report_mode(const fusion::Solution& solution) {
+  using State = Health::State;
+  switch (solution.mode) {
+    case fusion::Mode::kWaitingForVio:
+      node_.health().set_state(State::kStarting, "waiting for the odometry to initialise");
+      break;
+    case fusion::Mode::kDeadReckoning:
+      node_.health().set_state(State::kStarting, "no position yet: waiting for fixes that agree");
+      break;
+    case fusion::Mode::kMapAided:
+      node_.health().set_state(State::kOk);
+      break;
+    case fusion::Mode::kCoasting:
+      node_.health().set_state(State::kDegraded,
+                               fmt::format("no fix for {:.0f} s: the position drifts", solution.time_since_fix));
+      break;
+  }
+}
+
+}  // namespace orthonav

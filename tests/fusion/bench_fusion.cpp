@@ -1,0 +1,70 @@
+// Accuracy and cost of the fusion on synthetic flights, over seeds:
+//   bench_fusion [SEEDS] [--config FOLDER]
+#include <cstdio>
+#include <filesystem>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include <CLI/CLI.hpp>
+
+#include "tests/fusion/fly.h"
+
+using namespace orthonav;
+using namespace orthonav::fusion;
+
+int main(int argc, char** argv) {
+  CLI::App app{"Accuracy and cost of the fusion on synthetic flights, medians over seeds."};
+  int seeds = 5;
+  std::filesystem::path config;
+  bool whole = false;
+  app.add_option("seeds", seeds, "number of flights of each kind");
+  app.add_option("--config", config, "folder with fusion.yaml (default: the defaults in the code)");
+  app.add_flag("--whole", whole, "solve the whole trajectory instead of the window");
+  CLI11_PARSE(app, argc, argv);
+  FusionOptions options;
+  if (!config.empty()) options = FusionOptions::load(config / "fusion.yaml");
+  if (whole) options.window_keyframes = 0;
+
+  SyntheticOptions rural;
+  SyntheticOptions zone;
+  zone.duration = 407.5;
+  zone.speed = 6.0;
+  zone.height = 285.0;
+  zone.fix_stddev = 4.0;
+  zone.fix_vertical_stddev = 5.0;
+  zone.fix_shared_stddev = 2.0;
+  SyntheticOptions runs = rural;
+  runs.wrong_run_rate = 0.02;
+  SyntheticOptions wrong_start = runs;
+  wrong_start.wrong_at_start = 8;
+  SyntheticOptions rare = rural;
+  rare.fix_rate = 0.1;
+  rare.wrong_run_rate = 0.05;
+  rare.wrong_run_length = 4;
+  const std::vector<std::pair<std::string, SyntheticOptions>> kinds{
+      {"rural", rural}, {"zone", zone}, {"runs", runs}, {"wrong start", wrong_start}, {"rare fixes", rare}};
+  std::printf("%-12s %7s %7s %7s %8s %8s %6s %6s %6s %7s %7s %6s\n", "flight", "rmse", "horiz", "vert", "worst",
+              "heading", "nees", "lock s", "wrong", "ms med", "ms p99", "resets");
+  for (const auto& [name, synthetic] : kinds) {
+    std::vector<double> rmse, horizontal, vertical, largest, heading, nees, lock, wrong, ms, resets;
+    for (int seed = 1; seed <= seeds; ++seed) {
+      const Flown flown = fly(make_flight(synthetic, static_cast<uint64_t>(seed)), options);
+      rmse.push_back(flown.rmse);
+      horizontal.push_back(flown.horizontal_rmse);
+      vertical.push_back(flown.vertical_rmse);
+      largest.push_back(flown.largest);
+      heading.push_back(flown.heading_rmse * 57.29578);
+      nees.push_back(flown.nees);
+      lock.push_back(flown.lock_time);
+      wrong.push_back(flown.wrong_used);
+      resets.push_back(flown.solutions.back().reset_counter);
+      ms.insert(ms.end(), flown.solve_ms.begin(), flown.solve_ms.end());
+    }
+    std::printf("%-12s %7.2f %7.2f %7.2f %8.1f %8.2f %6.2f %6.1f %6.1f %7.2f %7.2f %6.1f   worst seed %.2f\n",
+                name.c_str(), median(rmse), median(horizontal), median(vertical), median(largest), median(heading),
+                median(nees), median(lock), median(wrong), median(ms), quantile(ms, 0.99), median(resets),
+                quantile(rmse, 1.0));
+  }
+  return 0;
+}

@@ -1,0 +1,77 @@
+// Flies a synthetic flight through the fusion and compares with its truth.
+#pragma once
+
+#include <chrono>
+#include <cmath>
+#include <vector>
+
+#include "common/math/so3.h"
+#include "common/math/statistics.h"
+#include "services/fusion/fusion.h"
+#include "tests/fusion/synthetic_flight.h"
+
+namespace orthonav::fusion {
+
+struct Flown {
+  std::vector<Solution> solutions;                          // one per state
+  std::vector<Outcome> outcomes;                            // of each fix, in the order of arrival
+  std::vector<size_t> fix_index;                            // of each outcome
+  std::vector<double> solve_ms;                             // wall time of each add_fix that solved
+  double rmse = 0, horizontal_rmse = 0, vertical_rmse = 0;  // m, from the first geodetic position on
+  double heading_rmse = 0;                                  // rad
+  double largest = 0;                                       // m, error
+  double nees = 0;                  // mean over the positions' 3 degrees of freedom: 1 when consistent
+  double lock_time = std::nan("");  // s from the first state
+  double scale = std::nan("");      // at the end
+  int wrong_used = 0;               // wrong fixes that are in the graph
+};
+
+inline Flown fly(const SyntheticFlight& flight, const FusionOptions& options) {
+  Flown flown;
+  Fusion fusion(options);
+  const EnuFrame frame(flight.anchor);
+  std::vector<double> error, horizontal, vertical, heading, nees;
+  for (const SyntheticFlight::Step& step : flight.steps) {
+    switch (step.kind) {
+      case SyntheticFlight::Step::Kind::kState: {
+        const Solution solution = fusion.propagate(flight.states[step.index]).solution;
+        flown.solutions.push_back(solution);
+        if (std::isnan(solution.position.latitude_deg)) break;
+        if (std::isnan(flown.lock_time)) flown.lock_time = 0.1 * static_cast<double>(step.index);
+        const Eigen::Vector3d e = frame.to_enu(solution.position) - flight.truth[step.index];
+        error.push_back(e.norm());
+        horizontal.push_back(e.head<2>().norm());
+        vertical.push_back(e.z());
+        heading.push_back(wrap_angle(heading_of(solution.q_G_B) - heading_of(flight.truth_q[step.index])));
+        const Eigen::Matrix3d covariance = solution.covariance.topLeftCorner<3, 3>();
+        nees.push_back(e.dot(covariance.inverse() * e) / 3.0);
+        flown.largest = std::max(flown.largest, e.norm());
+        break;
+      }
+      case SyntheticFlight::Step::Kind::kKeyframe:
+        fusion.add_keyframe(flight.keyframes[step.index]);
+        break;
+      case SyntheticFlight::Step::Kind::kFix: {
+        const auto start = std::chrono::steady_clock::now();
+        const Outcome outcome = fusion.add_fix(flight.fixes[step.index]);
+        const std::chrono::duration<double, std::milli> took = std::chrono::steady_clock::now() - start;
+        if (outcome == Outcome::kUsed) flown.solve_ms.push_back(took.count());
+        if (outcome == Outcome::kUsed && flight.wrong[step.index]) ++flown.wrong_used;
+        flown.outcomes.push_back(outcome);
+        flown.fix_index.push_back(step.index);
+        break;
+      }
+    }
+  }
+  flown.rmse = root_mean_square(error);
+  flown.horizontal_rmse = root_mean_square(horizontal);
+  flown.vertical_rmse = root_mean_square(vertical);
+  flown.heading_rmse = root_mean_square(heading);
+  double sum = 0;
+  for (const double value : nees) sum += value;
+  flown.nees = sum / static_cast<double>(nees.size());
+  flown.scale = fusion.scale();
+  return flown;
+}
+
+}  // namespace orthonav::fusion

@@ -1,0 +1,152 @@
+#include "tests/fusion/synthetic_flight.h"
+
+#include <cmath>
+#include <numbers>
+#include <random>
+
+#include "common/geo/enu_frame.h"
+#include "common/math/so3.h"
+
+namespace orthonav::fusion {
+namespace {
+
+constexpr int64_t kStart = 1'700'000'000'000'000;
+constexpr double kStep = 0.1;
+
+class Dice {
+ public:
+  explicit Dice(uint64_t seed) : engine_(seed) {}
+  // Written out, because the standard's distributions differ between libraries.
+  double uniform() { return static_cast<double>(engine_() >> 11) * 0x1.0p-53; }
+  double normal(double stddev) {
+    return stddev * std::sqrt(-2.0 * std::log(1.0 - uniform())) * std::cos(2.0 * std::numbers::pi * uniform());
+  }
+  Eigen::Vector3d normal3(double horizontal, double vertical) {
+    const double east = normal(horizontal);
+    const double north = normal(horizontal);
+    return Eigen::Vector3d(east, north, normal(vertical));
+  }
+
+ private:
+  std::mt19937_64 engine_;
+};
+
+// A meander of legs with smooth turns, with gentle changes of height, and the tilt of a multirotor.
+struct Path {
+  double speed, height, leg;
+  double course(double s) const { return 0.4 + 1.2 * std::sin(2.0 * std::numbers::pi * s / leg); }
+};
+
+}  // namespace
+
+SyntheticFlight make_flight(const SyntheticOptions& options, uint64_t seed) {
+  SyntheticFlight flight;
+  Dice dice(seed);
+  const EnuFrame frame(flight.anchor);
+  const Path path{options.speed, options.height, 260.0};
+
+  const double yaw_W_G = 2.0 * std::numbers::pi * dice.uniform();
+  double heading_error = 0.0;
+  double log_scale = dice.normal(options.scale_stddev);  // odometry = truth * exp(-log_scale)
+  const double heading_bias = dice.normal(options.heading_bias_stddev);
+  Eigen::Vector3d p_G_B(150.0, -300.0, options.height);
+  Eigen::Vector3d p_W_B = dice.normal3(5.0, 5.0);
+  Eigen::Vector3d shared = dice.normal3(options.fix_shared_stddev, options.fix_shared_stddev);
+  int run_left = options.wrong_at_start;
+  auto far = [&] {
+    const double angle = 2.0 * std::numbers::pi * dice.uniform();
+    const double distance = options.wrong_distance * (0.3 + 1.4 * dice.uniform());
+    return Eigen::Vector3d(distance * std::cos(angle), distance * std::sin(angle), dice.normal(5.0));
+  };
+  Eigen::Vector3d run_offset = far();
+  struct Waiting {
+    size_t fix, due;
+  };
+  std::vector<Waiting> waiting;
+
+  const auto count = static_cast<size_t>(options.duration / kStep);
+  const auto keyframe_every = static_cast<size_t>(std::lround(options.keyframe_interval / kStep));
+  for (size_t k = 0; k < count; ++k) {
+    const double t = kStep * static_cast<double>(k);
+    const double s = options.speed * t;
+    const Eigen::Vector3d velocity(options.speed * std::cos(path.course(s)), options.speed * std::sin(path.course(s)),
+                                   0.5 * std::sin(0.05 * t));
+    const Eigen::Quaterniond q_G_B = Eigen::AngleAxisd(path.course(s), Eigen::Vector3d::UnitZ()) *
+                                     Eigen::AngleAxisd(0.1 * std::sin(0.7 * t), Eigen::Vector3d::UnitY()) *
+                                     Eigen::AngleAxisd(0.08 * std::sin(0.9 * t + 1.0), Eigen::Vector3d::UnitX());
+    const Eigen::Quaterniond q_W_G(Eigen::AngleAxisd(yaw_W_G + heading_error, Eigen::Vector3d::UnitZ()));
+    if (k > 0) {
+      p_G_B += kStep * velocity;
+      p_W_B += kStep * std::exp(-log_scale) * (q_W_G * velocity);
+    }
+    const bool is_keyframe = k % keyframe_every == 0;
+    if (is_keyframe) p_W_B += dice.normal3(options.position_noise, options.position_noise);
+    const auto utime = kStart + static_cast<int64_t>(k) * 100'000;
+
+    OdometryState state;
+    state.utime = utime;
+    state.session = 1;
+    state.has_pose = true;
+    state.p_W_B = p_W_B;
+    state.q_W_B = q_W_G * q_G_B;
+    state.v_W_B = std::exp(-log_scale) * (q_W_G * velocity);
+    flight.states.push_back(state);
+    flight.truth.push_back(p_G_B);
+    flight.truth_q.push_back(q_G_B);
+    flight.steps.push_back({SyntheticFlight::Step::Kind::kState, k});
+
+    if (is_keyframe) {
+      Keyframe keyframe;
+      keyframe.utime = utime;
+      keyframe.session = 1;
+      keyframe.id = static_cast<int>(flight.keyframes.size());
+      keyframe.p_W_B = state.p_W_B;
+      keyframe.q_W_B = state.q_W_B;
+      keyframe.height_above_ground = std::exp(-log_scale) * p_G_B.z();
+      const size_t index = flight.keyframes.size();
+      flight.steps.push_back({SyntheticFlight::Step::Kind::kKeyframe, index});
+      flight.keyframes.push_back(keyframe);
+
+      const double keep = std::exp(-options.keyframe_interval / 15.0);
+      const double renew = std::sqrt(1.0 - keep * keep);
+      shared = keep * shared + renew * dice.normal3(options.fix_shared_stddev, options.fix_shared_stddev);
+      if (dice.uniform() < options.fix_rate) {
+        if (run_left == 0 && dice.uniform() < options.wrong_run_rate) {
+          run_left = 1 + static_cast<int>(-options.wrong_run_length * std::log(1.0 - dice.uniform()));
+          run_offset = far();
+        }
+        const bool in_run = run_left > 0;
+        if (in_run) --run_left;
+        const bool single = !in_run && dice.uniform() < options.single_wrong_rate;
+        const Eigen::Vector3d offset =
+            in_run ? run_offset : (single ? far() : Eigen::Vector3d(Eigen::Vector3d::Zero()));
+        // The fix stands off the ground (z = 0) by the odometry's height.
+        const Eigen::Vector3d step_back(0.0, 0.0, keyframe.height_above_ground - p_G_B.z());
+        Fix fix;
+        fix.utime = utime;
+        fix.session = 1;
+        fix.keyframe_id = keyframe.id;
+        fix.position = frame.to_geodetic(p_G_B + step_back + offset + shared +
+                                         dice.normal3(options.fix_stddev, options.fix_vertical_stddev));
+        fix.anchor = flight.anchor;
+        fix.covariance = Eigen::Vector3d(options.fix_stddev, options.fix_stddev, options.fix_vertical_stddev)
+                             .cwiseAbs2()
+                             .asDiagonal();
+        fix.heading = heading_of(q_G_B) + heading_bias + dice.normal(0.01);
+        fix.heading_stddev = 0.06;
+        waiting.push_back({flight.fixes.size(), index + static_cast<size_t>(options.fix_delay)});
+        flight.fixes.push_back(fix);
+        flight.wrong.push_back(in_run || single);
+      }
+      while (!waiting.empty() && waiting.front().due <= index) {
+        flight.steps.push_back({SyntheticFlight::Step::Kind::kFix, waiting.front().fix});
+        waiting.erase(waiting.begin());
+      }
+    }
+    heading_error += dice.normal(options.heading_walk * std::sqrt(kStep));
+    log_scale += dice.normal(options.scale_walk * std::sqrt(kStep));
+  }
+  return flight;
+}
+
+}  // namespace orthonav::fusion
