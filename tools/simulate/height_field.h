@@ -2,6 +2,7 @@
 // in every cell of each level, by which rays skip the empty air.
 #pragma once
 
+#include <algorithm>
 #include <vector>
 
 #include <Eigen/Core>

@@ -13,7 +13,8 @@ constexpr int kTile = View::kNodeStep;
 constexpr int kCell = 1 << HeightField::kCellBits;
 constexpr float kSteepestRay = 8.0F;  // horizontal per vertical: rays nearer to the horizon see sky
 constexpr float kSkyLuminance = 128.0F;
-constexpr int kRefinements = 4;  // of the intersection within one step: 1e-3 of a texel on continuous ground
+constexpr int kRefinements = 5;      // of the intersection within one step, at most
+constexpr float kOnSurface = 5e-4F;  // m: near enough to the surface, a hundredth of a pixel
 
 // A ray in pixels of a level, as a function of the depth h below the camera: u = u0 + su h, v = v0 + sv h.
 struct LevelRay {
@@ -30,14 +31,45 @@ float cell_exit(const LevelRay& ray, float h, int cell_u, int cell_v) {
   return std::max(exit, h);
 }
 
-// Depth of the first intersection with the surface in [begin, end]; the ray is above it at `begin` and not above it
-// at `end`. `camera_z` is the camera's height.
-float intersect(const HeightField::Level& level, const LevelRay& ray, float camera_z, float begin, float end) {
+// Bilinear heights of a level. With `kInside` the caller knows that no position lies outside.
+template <bool kInside>
+class Heights {
+ public:
+  explicit Heights(const HeightField::Level& level)
+      : level_(level), data_(level.height.ptr<float>()), stride_(static_cast<int64_t>(level.height.step1())) {}
+
+  float operator()(float u, float v) const {
+    if constexpr (kInside) {
+      const int i = static_cast<int>(u), j = static_cast<int>(v);
+      const float a = u - static_cast<float>(i), b = v - static_cast<float>(j);
+      const float* top = data_ + j * stride_ + i;
+      const float* bottom = top + stride_;
+      const float upper = top[0] + a * (top[1] - top[0]), lower = bottom[0] + a * (bottom[1] - bottom[0]);
+      return upper + b * (lower - upper);
+    } else {
+      return level_.height_at(u, v);
+    }
+  }
+
+  // Highest point of a cell.
+  float top_of(int cell_u, int cell_v) const {
+    if constexpr (kInside) return level_.cells[static_cast<size_t>(cell_v) * level_.cell_columns + cell_u].high;
+    return level_.cell(cell_u, cell_v).high;
+  }
+
+ private:
+  const HeightField::Level& level_;
+  const float* data_;
+  int64_t stride_;
+};
+
+// Depth of the first intersection with the surface in [begin, end]; at `end` the ray is not above the surface.
+// `camera_z` is the camera's height.
+template <bool kInside>
+float intersect(const Heights<kInside>& heights, const LevelRay& ray, float camera_z, float begin, float end) {
   const float steepness = std::max(std::abs(ray.su), std::abs(ray.sv));
   const float texel_step = steepness > 1e-4F ? 1.0F / steepness : end - begin;
-  const auto clearance = [&](float h) {
-    return camera_z - h - level.height_at(ray.u0 + ray.su * h, ray.v0 + ray.sv * h);
-  };
+  const auto clearance = [&](float h) { return camera_z - h - heights(ray.u0 + ray.su * h, ray.v0 + ray.sv * h); };
   float h = begin;
   float above = clearance(h);
   if (above <= 0) return h;
@@ -45,34 +77,36 @@ float intersect(const HeightField::Level& level, const LevelRay& ray, float came
     const float u = ray.u0 + ray.su * h, v = ray.v0 + ray.sv * h;
     const int cell_u = static_cast<int>(std::floor(u)) >> HeightField::kCellBits;
     const int cell_v = static_cast<int>(std::floor(v)) >> HeightField::kCellBits;
-    const float top = camera_z - level.cell(cell_u, cell_v).high;  // depth of the cell's highest point
+    const float top = camera_z - heights.top_of(cell_u, cell_v);  // depth of the cell's highest point
     float next = h + texel_step;
     if (h < top) next = std::min(cell_exit(ray, h, cell_u, cell_v) + 0.01F * texel_step, top + 1e-4F);
     next = std::min(std::max(next, h + 1e-4F), end);
     const float below = clearance(next);
-    if (below <= 0) {
-      // The surface is crossed between h and next: false position, with halving of the retained end (Illinois).
-      float low = h, f_low = above, high = next, f_high = below;
-      int side = 0;
-      for (int i = 0; i < kRefinements; ++i) {
-        const float middle = low + (high - low) * f_low / (f_low - f_high);
-        const float f = clearance(middle);
-        if (f > 0) {
-          low = middle;
-          f_low = f;
-          if (side == 1) f_high *= 0.5F;
-          side = 1;
-        } else {
-          high = middle;
-          f_high = f;
-          if (side == -1) f_low *= 0.5F;
-          side = -1;
-        }
-      }
-      return low + (high - low) * f_low / (f_low - f_high);
+    if (below > 0) {
+      h = next;
+      above = below;
+      continue;
     }
-    h = next;
-    above = below;
+    // The surface is crossed between h and next: false position, with halving of the retained end (Illinois).
+    float low = h, f_low = above, high = next, f_high = below;
+    int side = 0;
+    for (int i = 0; i < kRefinements; ++i) {
+      const float middle = low + (high - low) * f_low / (f_low - f_high);
+      const float f = clearance(middle);
+      if (std::abs(f) < kOnSurface) return middle;
+      if (f > 0) {
+        low = middle;
+        f_low = f;
+        if (side == 1) f_high *= 0.5F;
+        side = 1;
+      } else {
+        high = middle;
+        f_high = f;
+        if (side == -1) f_low *= 0.5F;
+        side = -1;
+      }
+    }
+    return low + (high - low) * f_low / (f_low - f_high);
   }
   return end;
 }
@@ -141,7 +175,7 @@ View RayCaster::render(const CameraPose& pose) const {
 
 void RayCaster::render_tile(const Frame& frame, const cv::Rect& tile, View& view, int64_t& outside) const {
   const HeightField::Level& level = *frame.level;
-  std::array<Eigen::Vector2f, kTile * kTile> slopes;  // pixels of the level per m of depth; NaN: sky
+  Slopes slopes;
   Eigen::Vector2f slope_min = Eigen::Vector2f::Constant(kSteepestRay * frame.pixels_per_metre);
   Eigen::Vector2f slope_max = -slope_min;
   for (int y = 0; y < tile.height; ++y) {
@@ -184,11 +218,25 @@ void RayCaster::render_tile(const Frame& frame, const cv::Rect& tile, View& view
   }
   const float begin = std::max(0.0F, frame.p.z() - range.high - 1e-3F);
   const float end = std::max(begin, frame.p.z() - range.low + 1e-3F);
+  const Eigen::Vector2f low = frame.foot + (slope_min * begin).cwiseMin(slope_min * end);
+  const Eigen::Vector2f high = frame.foot + (slope_max * begin).cwiseMax(slope_max * end);
+  const bool inside = low.minCoeff() >= 1.0F && high.x() < static_cast<float>(level.height.cols) - 2.0F &&
+                      high.y() < static_cast<float>(level.height.rows) - 2.0F;
+  if (inside) {
+    shade_tile<true>(frame, tile, slopes, begin, end, view, outside);
+  } else {
+    shade_tile<false>(frame, tile, slopes, begin, end, view, outside);
+  }
+}
 
-  // Pixel centres are at integers, so halving the resolution moves them by half a pixel less.
-  const auto to_level = [&](float x, const HeightField::Level& target) {
-    return (x + 0.5F) * static_cast<float>(level.resolution / target.resolution) - 0.5F;
-  };
+template <bool kInside>
+void RayCaster::shade_tile(const Frame& frame, const cv::Rect& tile, const Slopes& slopes, float begin, float end,
+                           View& view, int64_t& outside) const {
+  const HeightField::Level& level = *frame.level;
+  const HeightField::Level& coarse = *frame.coarse;
+  const Heights<kInside> heights(level);
+  // Pixel centres are at integers, so the coarser level's coordinate is not just the half of the finer one's.
+  const auto ratio = static_cast<float>(level.resolution / coarse.resolution);
   for (int y = 0; y < tile.height; ++y) {
     float* out = view.luminance.ptr<float>(tile.y + y) + tile.x;
     for (int x = 0; x < tile.width; ++x) {
@@ -199,15 +247,15 @@ void RayCaster::render_tile(const Frame& frame, const cv::Rect& tile, View& view
         ++outside;
       } else {
         const LevelRay ray{frame.foot.x(), frame.foot.y(), slope.x(), slope.y()};
-        depth = intersect(level, ray, frame.p.z(), begin, end);
+        depth = intersect(heights, ray, frame.p.z(), begin, end);
         const float u = ray.u0 + ray.su * depth, v = ray.v0 + ray.sv * depth;
-        if (u < -0.5F || v < -0.5F || u > static_cast<float>(level.height.cols) - 0.5F ||
-            v > static_cast<float>(level.height.rows) - 0.5F) {
+        if (!kInside && (u < -0.5F || v < -0.5F || u > static_cast<float>(level.height.cols) - 0.5F ||
+                         v > static_cast<float>(level.height.rows) - 0.5F)) {
           ++outside;
         }
         const float fine = level.luminance_at(u, v);
-        const float coarse = frame.coarse->luminance_at(to_level(u, *frame.coarse), to_level(v, *frame.coarse));
-        out[x] = fine + frame.blend * (coarse - fine);
+        out[x] =
+            fine + frame.blend * (coarse.luminance_at((u + 0.5F) * ratio - 0.5F, (v + 0.5F) * ratio - 0.5F) - fine);
       }
       if (x == 0 && y == 0) view.node_depth.at<float>(tile.y / kTile, tile.x / kTile) = depth;
     }

@@ -6,6 +6,7 @@
 // footprint of a pixel on the ground, so that a coarse view of a fine texture does not alias.
 #pragma once
 
+#include <array>
 #include <vector>
 
 #include <Eigen/Core>
@@ -44,7 +45,13 @@ class RayCaster {
 
  private:
   struct Frame;
+  // Pixels of the frame's level per m of depth; NaN: sky.
+  using Slopes = std::array<Eigen::Vector2f, View::kNodeStep * View::kNodeStep>;
+
   void render_tile(const Frame& frame, const cv::Rect& tile, View& view, int64_t& outside) const;
+  template <bool kInside>
+  void shade_tile(const Frame& frame, const cv::Rect& tile, const Slopes& slopes, float begin, float end, View& view,
+                  int64_t& outside) const;
 
   const HeightField& field_;
   int width_, height_;
