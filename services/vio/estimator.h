@@ -1,0 +1,155 @@
+// The back end: a sliding window of keyframes, tightly coupled (equations 1 and 2).
+//
+// The window holds `window` keyframes and the newest frame. Per frame: propagate with the IMU, add the observations,
+// triangulate what has parallax, optimise all in Ceres (IMU, reprojection under a Huber loss, prior), find outliers,
+// look for failure. A frame becomes a keyframe when features have moved on average by `keyframe_parallax` beyond what
+// the gyroscope's rotation explains, or many have been lost; a frame that does not is dropped when the next arrives,
+// its IMU samples merged. Keyframes by parallax make the window long in time where the aircraft is high, which is
+// what keeps the scale: monocular scale comes from acceleration, and a straight leg has none.
+//
+// When the window is full the oldest keyframe is marginalised with the landmarks that begin in it and are no longer
+// seen. Landmarks that are still seen only lose that observation and are anchored at their next one: nothing is used
+// twice. Jacobians of frames in the prior stay at their first estimates.
+//
+// Knows no images and no middleware. Not thread-safe; deterministic.
+#pragma once
+
+#include <map>
+#include <memory>
+#include <optional>
+#include <set>
+#include <string>
+#include <vector>
+
+#include "common/camera/camera_model.h"
+#include "services/vio/prior.h"
+#include "services/vio/state.h"
+
+namespace orthonav::vio {
+
+struct EstimatorOptions {
+  int window = 12;                   // keyframes
+  double keyframe_parallax = 20;     // pixels
+  double keyframe_tracked = 0.5;     // fraction of the last keyframe's features below which a new one is made
+  double pixel_sigma = 0.5;          // pixels, 1 sigma of a tracked feature
+  double robust_width = 1.5;         // sigmas at which the loss turns linear
+  double outlier_error = 3.0;        // pixels, root mean square over the window, or in the newest frame twice that
+  double min_parallax = 4.0;         // pixels, before a landmark is triangulated
+  int iterations = 5;                // of the solver per frame
+  double gravity = 9.81;             // m/s^2
+  double accel_bias_sigma = 0.1;     // m/s^2, 1 sigma at the start of a session
+  double gyro_bias_sigma = 0.02;     // rad/s, likewise
+  double init_interval = 0.4;        // s, longest time between the frames that a start is made of
+  double init_parallax = 15;         // pixels of movement that make such a frame earlier
+  double init_min_time = 1.5;        // s, shortest stretch to start from
+  double init_scale_sigma = 0.05;    // accept a start when the scale's relative standard deviation is below this
+  double max_accel_bias = 1.0;       // m/s^2: beyond this the estimate has failed
+  double max_gyro_bias = 0.3;        // rad/s: likewise
+  double max_speed = 60;             // m/s: likewise
+  int min_landmarks = 8;             // with fewer in view for `blind_time` the estimate has failed
+  int degraded_landmarks = 20;       // with fewer in view the status is degraded
+  double blind_time = 2.0;           // s
+};
+
+struct KeyframeFeature {
+  int64_t id = 0;
+  Eigen::Vector2d pixel = Eigen::Vector2d::Zero();
+  Eigen::Vector3d ray_C = Eigen::Vector3d::UnitZ();
+  Eigen::Vector3d p_W = Eigen::Vector3d::Zero();  // m
+  double reprojection_error = 0;                  // pixels
+  double depth_stddev = 0;                        // m, along the ray, poses taken as known
+};
+
+// A keyframe as published: the newest one as soon as the window has been optimised with it.
+struct Keyframe {
+  int64_t utime = 0;
+  int id = 0;
+  StateValues state;
+  double height_above_ground = 0;                     // m, NaN: unknown
+  Eigen::Matrix<double, 6, 6> relative_covariance;    // as in vio_keyframe_t; NaN: unknown
+  std::vector<KeyframeFeature> features;
+};
+
+class Estimator {
+ public:
+  enum class Status { kInitialising, kTracking, kDegraded, kFailed };
+
+  // `focal`: mean focal length, pixels.
+  Estimator(const EstimatorOptions& options, const Extrinsics& extrinsics, const ImuNoise& noise, double focal);
+
+  // Takes one frame: the features seen in it and the IMU samples from the previous frame's time to this one's, both
+  // ends included. Returns the new status; after kFailed the caller reads reason() and calls reset().
+  Status process(int64_t utime, const std::vector<TrackedFeature>& features, const std::vector<ImuSample>& imu);
+
+  // Forgets everything but the gyroscope bias, which a restart may begin from.
+  void reset();
+
+  Status status() const { return status_; }
+  const std::string& reason() const { return reason_; }  // why not yet initialised, degraded or failed
+  const StateValues& newest() const { return frames_.back()->state; }
+  // Gyroscope bias as far as known, rad/s, and whether it is known well enough to predict rotations with.
+  Eigen::Vector3d gyro_bias() const { return gyro_bias_; }
+  bool gyro_bias_known() const { return gyro_bias_known_; }
+  // The keyframe that the last call of process() made, if it made one.
+  const std::optional<Keyframe>& keyframe() const { return published_; }
+  int last_keyframe_id() const { return next_keyframe_id_ - 1; }
+  // Features that the last call of process() found to be wrong.
+  const std::set<int64_t>& outliers() const { return outliers_; }
+  double height_above_ground() const { return height_; }  // m, NaN: unknown
+  // Covariance of (position in W, rotation vector in W) as of the newest keyframe; NaN before the first.
+  const Eigen::Matrix<double, 6, 6>& pose_covariance() const { return pose_covariance_; }
+  size_t window_size() const { return frames_.size(); }
+
+ private:
+  // estimator.cpp
+  void add_frame(int64_t utime, const std::vector<ImuSample>& imu);
+  void add_observations(const std::vector<TrackedFeature>& features);
+  void drop_newest();
+  double parallax_to(const Frame& reference, int* common) const;
+  bool wants_keyframe() const;
+  void triangulate();
+  void optimise(int iterations);
+  void find_outliers();
+  std::string find_failure();
+  void marginalise_oldest();
+  void update_height();
+  std::vector<Frame*> frame_pointers() const;
+  NormalEquations normal_equations() const;
+  double weight() const { return focal_ / options_.pixel_sigma; }
+
+  // estimator_start.cpp
+  void collect_for_start(const std::vector<TrackedFeature>& features);
+  bool standing_still(const std::vector<TrackedFeature>& features) const;
+  bool try_start();
+  double scale_sigma(const NormalEquations& equations) const;
+
+  // estimator_keyframe.cpp
+  void publish_keyframe();
+
+  EstimatorOptions options_;
+  Extrinsics extrinsics_;
+  ImuNoise noise_;
+  double focal_;
+
+  Status status_ = Status::kInitialising;
+  std::string reason_ = "no frame yet";
+  std::vector<std::unique_ptr<Frame>> frames_;
+  std::map<int64_t, Landmark> landmarks_;
+  Prior prior_;
+  Eigen::Vector3d gyro_bias_ = Eigen::Vector3d::Zero();
+  double gyro_bias_sigma_ = 0;
+  bool gyro_bias_known_ = false;
+  std::map<int64_t, Eigen::Vector2d> last_pixels_;  // of the previous frame, to see standstill
+  double still_time_ = 0;
+  int still_samples_ = 0;
+  Eigen::Vector3d still_gyro_sum_ = Eigen::Vector3d::Zero();
+  int64_t next_frame_id_ = 0;
+  int next_keyframe_id_ = 0;
+  int64_t seen_utime_ = 0;  // when enough landmarks were last in view
+  double height_ = 0;
+  Eigen::Matrix<double, 6, 6> pose_covariance_;
+  std::optional<Keyframe> published_;
+  std::set<int64_t> outliers_;
+};
+
+}  // namespace orthonav::vio

@@ -1,0 +1,191 @@
+// How the estimator starts: collects frames, tries the closed form, refines, and decides whether to trust it.
+#include <algorithm>
+#include <cmath>
+
+#include <fmt/format.h>
+
+#include "common/math/statistics.h"
+#include "services/vio/estimator.h"
+#include "services/vio/initialiser.h"
+
+namespace orthonav::vio {
+
+bool Estimator::standing_still(const std::vector<TrackedFeature>& features) const {
+  constexpr double kStillPixels = 0.3;  // between frames: the noise of tracking, and nothing in flight
+  std::vector<double> moved;
+  for (const TrackedFeature& feature : features) {
+    const auto last = last_pixels_.find(feature.id);
+    if (last != last_pixels_.end()) moved.push_back((last->second - feature.pixel).norm());
+  }
+  return moved.size() >= 10 && quantile(moved, 0.8) < kStillPixels;
+}
+
+void Estimator::collect_for_start(const std::vector<TrackedFeature>& features) {
+  Frame& newest = *frames_.back();
+  const bool still = standing_still(features);
+  last_pixels_.clear();
+  for (const TrackedFeature& feature : features) last_pixels_[feature.id] = feature.pixel;
+
+  if (still && newest.imu) {
+    // At rest the gyroscope reads its bias. Motion begins from the last frame at rest.
+    for (size_t k = 1; k < newest.imu->samples().size(); ++k) {
+      still_gyro_sum_ += newest.imu->samples()[k].gyro;
+      ++still_samples_;
+    }
+    still_time_ += newest.imu->duration();
+    if (still_time_ > 0.5) {
+      gyro_bias_ = still_gyro_sum_ / still_samples_;
+      gyro_bias_sigma_ = 2e-3;
+      gyro_bias_known_ = true;
+      while (frames_.size() > 1) frames_.erase(frames_.begin());
+      newest.imu.reset();
+      newest.keyframe = true;
+      newest.state.bg() = gyro_bias_;
+      for (auto it = landmarks_.begin(); it != landmarks_.end();) {
+        Landmark& landmark = it->second;
+        if (!landmark.tracked) {
+          it = landmarks_.erase(it);
+          continue;
+        }
+        landmark.observations.erase(landmark.observations.begin(), landmark.observations.end() - 1);
+        ++it;
+      }
+      reason_ = "standing still";
+      return;
+    }
+  } else {
+    still_time_ = 0;
+    still_samples_ = 0;
+    still_gyro_sum_.setZero();
+  }
+
+  if (frames_.size() == 1) {
+    newest.keyframe = true;
+    reason_ = "waiting for motion";
+    return;
+  }
+  const Frame& last = *frames_[frames_.size() - 2];
+  int common = 0;
+  const double parallax = parallax_to(last, &common);
+  if (common < options_.min_landmarks) {
+    // The chain of tracks is broken: begin again here.
+    reason_ = "too few features tracked";
+    while (frames_.size() > 1) frames_.erase(frames_.begin());
+    newest.imu.reset();
+    newest.keyframe = true;
+    std::erase_if(landmarks_, [](const auto& entry) { return !entry.second.tracked; });
+    for (auto& [id, landmark] : landmarks_) {
+      landmark.observations.erase(landmark.observations.begin(), landmark.observations.end() - 1);
+    }
+    return;
+  }
+  const double interval = 1e-6 * static_cast<double>(newest.utime - last.utime);
+  newest.keyframe = interval > options_.init_interval - 1e-3 || parallax > options_.init_parallax;
+  if (!newest.keyframe) return;
+  if (static_cast<int>(frames_.size()) > options_.window) {
+    const Frame* oldest = frames_.front().get();
+    for (auto it = landmarks_.begin(); it != landmarks_.end();) {
+      auto& observations = it->second.observations;
+      if (observations.front().frame == oldest) observations.erase(observations.begin());
+      it = observations.empty() ? landmarks_.erase(it) : std::next(it);
+    }
+    frames_.erase(frames_.begin());
+    frames_.front()->imu.reset();
+  }
+  if (try_start()) {
+    status_ = Status::kTracking;
+    reason_.clear();
+    seen_utime_ = newest.utime;
+    gyro_bias_ = newest.state.bg();
+    gyro_bias_known_ = true;
+    update_height();
+    publish_keyframe();
+  }
+}
+
+bool Estimator::try_start() {
+  const double span = 1e-6 * static_cast<double>(frames_.back()->utime - frames_.front()->utime);
+  if (span < options_.init_min_time || frames_.size() < 4) {
+    reason_ = "collecting motion";
+    return false;
+  }
+  const auto give_up = [this](const std::string& why) {
+    reason_ = why;
+    for (auto& [id, landmark] : landmarks_) landmark.has_depth = false;
+    for (const auto& frame : frames_) {
+      frame->state = StateValues{};
+      frame->state.bg() = gyro_bias_;
+      frame->pose_fixed = frame->speed_bias_fixed = false;
+    }
+    prior_ = {};
+    // Rotations are needed for parallax: the gyroscope's, from the first frame on.
+    for (size_t k = 1; k < frames_.size(); ++k) {
+      frames_[k]->state.q() = frames_[k - 1]->state.q() * frames_[k]->imu->corrected_gamma(gyro_bias_);
+    }
+    return false;
+  };
+  const LinearStart start =
+      solve_linear_start(frame_pointers(), landmarks_, extrinsics_, options_.gravity, gyro_bias_,
+                         gyro_bias_known_ ? gyro_bias_sigma_ : std::max(0.1, gyro_bias_sigma_), weight(),
+                         options_.pixel_sigma);
+  if (!start.ok) return give_up(start.reason);
+  if (start.residual > 4 * options_.outlier_error) {
+    return give_up(fmt::format("the motion does not fit the IMU ({:.1f} px)", start.residual));
+  }
+  InitialUncertainty sigma;
+  sigma.accel_bias = options_.accel_bias_sigma;
+  sigma.gyro_bias = gyro_bias_known_ ? gyro_bias_sigma_ : std::max(0.1, gyro_bias_sigma_);
+  prior_ = make_initial_prior(*frames_.front(), sigma, Eigen::Vector3d::Zero(), gyro_bias_);
+  optimise(15);
+  // Position and yaw stay at the first frame; its attitude and biases have moved.
+  frames_.front()->pose_fixed = frames_.front()->speed_bias_fixed = false;
+  prior_ = make_initial_prior(*frames_.front(), sigma, Eigen::Vector3d::Zero(), gyro_bias_);
+  find_outliers();
+  triangulate();
+  optimise(10);
+  find_outliers();
+
+  std::vector<double> errors;
+  for (const auto& [id, landmark] : landmarks_) {
+    if (landmark.has_depth && landmark.observations.size() >= 2) errors.push_back(landmark.reprojection_error);
+  }
+  if (static_cast<int>(errors.size()) < options_.degraded_landmarks) return give_up("too few features fit");
+  if (median(errors) > 2.5 * options_.pixel_sigma) {
+    return give_up(fmt::format("features do not fit the motion ({:.1f} px)", median(errors)));
+  }
+  const StateValues& state = frames_.back()->state;
+  if (state.ba().norm() > options_.max_accel_bias || state.bg().norm() > options_.max_gyro_bias ||
+      state.v().norm() > options_.max_speed) {
+    return give_up("the biases or the speed found are not plausible");
+  }
+  const double sigma_scale = scale_sigma(normal_equations());
+  if (!(sigma_scale < options_.init_scale_sigma)) {
+    return give_up(fmt::format("not enough acceleration yet: scale is uncertain by {:.0f} %", 100 * sigma_scale));
+  }
+  outliers_.clear();
+  return true;
+}
+
+double Estimator::scale_sigma(const NormalEquations& equations) const {
+  // Of the longest way between two frames, which visual information alone leaves free.
+  const Frame* a = frames_.front().get();
+  const Frame* b = nullptr;
+  double longest = 0;
+  for (const auto& frame : frames_) {
+    const double distance = (frame->state.p() - a->state.p()).norm();
+    if (distance > longest) {
+      longest = distance;
+      b = frame.get();
+    }
+  }
+  if (!b || longest < 1e-3) return INFINITY;
+  const Eigen::MatrixXd joint = equations.pose_covariance({equations.pose_offset(*a), equations.pose_offset(*b)});
+  if (joint.size() == 0) return INFINITY;
+  const Eigen::Vector3d direction = (b->state.p() - a->state.p()) / longest;
+  Eigen::Matrix<double, 12, 1> J = Eigen::Matrix<double, 12, 1>::Zero();
+  J.segment<3>(0) = -direction;
+  J.segment<3>(6) = direction;
+  return std::sqrt((J.transpose() * joint * J).value()) / longest;
+}
+
+}  // namespace orthonav::vio

@@ -1,0 +1,100 @@
+#include "services/vio/projection_factor.h"
+
+#include "common/math/so3.h"
+
+namespace orthonav::vio {
+
+bool PoseManifold::Plus(const double* x, const double* delta, double* x_plus_delta) const {
+  for (int k = 0; k < 3; ++k) x_plus_delta[k] = x[k] + delta[k];
+  const Eigen::Map<const Eigen::Quaterniond> q(x + 3);
+  Eigen::Map<Eigen::Quaterniond> out(x_plus_delta + 3);
+  out = (q * so3_exp(Eigen::Map<const Eigen::Vector3d>(delta + 3))).normalized();
+  return true;
+}
+
+bool PoseManifold::PlusJacobian(const double*, double* jacobian) const {
+  Eigen::Map<Eigen::Matrix<double, 7, 6, Eigen::RowMajor>> J(jacobian);
+  J.setIdentity();
+  return true;
+}
+
+bool PoseManifold::Minus(const double* y, const double* x, double* y_minus_x) const {
+  for (int k = 0; k < 3; ++k) y_minus_x[k] = y[k] - x[k];
+  const Eigen::Map<const Eigen::Quaterniond> q_y(y + 3), q_x(x + 3);
+  Eigen::Map<Eigen::Vector3d>(y_minus_x + 3) = so3_log(q_x.conjugate() * q_y);
+  return true;
+}
+
+bool PoseManifold::MinusJacobian(const double*, double* jacobian) const {
+  Eigen::Map<Eigen::Matrix<double, 6, 7, Eigen::RowMajor>> J(jacobian);
+  J.setIdentity();
+  return true;
+}
+
+ProjectionFactor::ProjectionFactor(const Eigen::Vector3d& ray_i, const Eigen::Vector3d& ray_j,
+                                   const Extrinsics& extrinsics, double weight, const Frame& i, const Frame& j)
+    : ray_i_(ray_i), ray_j_(ray_j), extrinsics_(extrinsics), weight_(weight), i_(i), j_(j) {}
+
+bool ProjectionFactor::evaluate(const Eigen::Vector3d& ray_i, const Eigen::Vector3d& ray_j,
+                                const Extrinsics& extrinsics, double weight, const double* pose_i,
+                                const double* pose_j, double inverse_depth, Eigen::Vector2d* residual,
+                                Jacobians* jacobians) {
+  const Eigen::Map<const Eigen::Vector3d> p_i(pose_i), p_j(pose_j);
+  const Eigen::Map<const Eigen::Quaterniond> q_i(pose_i + 3), q_j(pose_j + 3);
+  // Everything times the inverse depth, which keeps points at infinity finite.
+  const Eigen::Matrix3d R_i = q_i.toRotationMatrix();
+  const Eigen::Matrix3d R_C_W = (q_j.toRotationMatrix() * extrinsics.R_B_C).transpose();
+  const Eigen::Vector3d ray_B = extrinsics.R_B_C * ray_i;
+  const Eigen::Vector3d point_Bi = ray_B + inverse_depth * extrinsics.p_B_C;
+  const Eigen::Vector3d step = R_i * extrinsics.p_B_C + p_i - p_j;
+  const Eigen::Vector3d point_Bj = q_j.conjugate() * (R_i * ray_B + inverse_depth * step);
+  const Eigen::Vector3d point_C = extrinsics.R_B_C.transpose() * (point_Bj - inverse_depth * extrinsics.p_B_C);
+  if (point_C.z() < 1e-3) return false;
+  const double iz = 1.0 / point_C.z();
+  const double x = point_C.x() * iz, y = point_C.y() * iz;
+  if (residual) *residual = weight * Eigen::Vector2d(x - ray_j.x(), y - ray_j.y());
+  if (!jacobians) return true;
+  Eigen::Matrix<double, 2, 3> reduce;
+  reduce << iz, 0, -x * iz, 0, iz, -y * iz;
+  reduce *= weight;
+  const Eigen::Matrix<double, 2, 3> d_world = reduce * R_C_W;
+  jacobians->pose_i.leftCols<3>() = inverse_depth * d_world;
+  jacobians->pose_i.rightCols<3>() = -d_world * R_i * skew(point_Bi);
+  jacobians->pose_j.leftCols<3>() = -inverse_depth * d_world;
+  jacobians->pose_j.rightCols<3>() = reduce * extrinsics.R_B_C.transpose() * skew(point_Bj);
+  jacobians->inverse_depth = reduce * (R_C_W * step - extrinsics.R_B_C.transpose() * extrinsics.p_B_C);
+  return true;
+}
+
+bool ProjectionFactor::Evaluate(double const* const* parameters, double* residuals, double** jacobians) const {
+  Eigen::Vector2d r;
+  Jacobians J;
+  const bool fixed = i_.pose_fixed || j_.pose_fixed;
+  const double inverse_depth = *parameters[2];
+  if (!evaluate(ray_i_, ray_j_, extrinsics_, weight_, parameters[0], parameters[1], inverse_depth, &r,
+                jacobians && !fixed ? &J : nullptr)) {
+    return false;
+  }
+  Eigen::Map<Eigen::Vector2d>{residuals} = r;
+  if (!jacobians) return true;
+  if (fixed) {
+    const double* at_i = i_.pose_fixed ? i_.first_estimate.pose.data() : parameters[0];
+    const double* at_j = j_.pose_fixed ? j_.first_estimate.pose.data() : parameters[1];
+    if (!evaluate(ray_i_, ray_j_, extrinsics_, weight_, at_i, at_j, inverse_depth, nullptr, &J)) return false;
+  }
+  using PoseJacobian = Eigen::Matrix<double, 2, 7, Eigen::RowMajor>;
+  if (jacobians[0]) {
+    Eigen::Map<PoseJacobian> out(jacobians[0]);
+    out.leftCols<6>() = J.pose_i;
+    out.col(6).setZero();
+  }
+  if (jacobians[1]) {
+    Eigen::Map<PoseJacobian> out(jacobians[1]);
+    out.leftCols<6>() = J.pose_j;
+    out.col(6).setZero();
+  }
+  if (jacobians[2]) Eigen::Map<Eigen::Vector2d>{jacobians[2]} = J.inverse_depth;
+  return true;
+}
+
+}  // namespace orthonav::vio

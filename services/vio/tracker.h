@@ -1,0 +1,63 @@
+// The front end: Shi-Tomasi corners followed by pyramidal Lucas-Kanade.
+//
+// Start positions come from the gyroscope's rotation, so fast turns need no large search; each track is confirmed by
+// tracking back; outliers are found without assuming that the scene is not a plane (two_point.h). New corners are
+// taken one per cell of a grid from the cells that have no track, so that features spread and the cost is bounded
+// whatever the image shows. Not thread-safe; deterministic.
+#pragma once
+
+#include <cstdint>
+#include <set>
+#include <vector>
+
+#include <Eigen/Core>
+#include <opencv2/core.hpp>
+
+#include "common/camera/camera_model.h"
+#include "services/vio/state.h"
+
+namespace orthonav::vio {
+
+struct TrackerOptions {
+  int max_features = 150;
+  double corner_quality = 0.01;    // of the image's best corner
+  double border = 10;              // pixels
+  int search_window = 21;          // pixels, side of the patch
+  int pyramid_levels = 3;          // above the full image
+  double round_trip = 0.5;         // pixels: largest error of tracking forth and back
+  double outlier_distance = 1.5;   // pixels from the epipolar line
+};
+
+class Tracker {
+ public:
+  Tracker(const CameraModel& camera, const TrackerOptions& options);
+
+  // Tracks into `grey` (CV_8UC1 of the camera's size), and finds new corners.
+  //   R_cur_prev  camera rotation between the images by the gyroscope: takes the previous camera's coordinates to
+  //               the current one's
+  //   rotation_trusted  false while the gyroscope's bias is unknown: outliers are then found by an essential matrix
+  // Returns the features of this image, oldest first.
+  const std::vector<TrackedFeature>& track(const cv::Mat& grey, const Eigen::Matrix3d& R_cur_prev,
+                                           bool rotation_trusted);
+
+  // Ends tracks that the estimator found to be wrong.
+  void drop(const std::set<int64_t>& ids);
+
+  // Forgets everything; ids go on counting.
+  void reset();
+
+ private:
+  cv::Mat normalised(const cv::Mat& grey) const;
+  void follow(const std::vector<cv::Mat>& pyramid, const Eigen::Matrix3d& R_cur_prev);
+  void reject_outliers(const std::vector<TrackedFeature>& previous, const Eigen::Matrix3d& R_cur_prev,
+                       bool rotation_trusted);
+  void detect(const cv::Mat& image);
+
+  CameraModel camera_;
+  TrackerOptions options_;
+  std::vector<cv::Mat> pyramid_;
+  std::vector<TrackedFeature> features_;
+  int64_t next_id_ = 0;
+};
+
+}  // namespace orthonav::vio

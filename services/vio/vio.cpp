@@ -1,0 +1,149 @@
+#include "services/vio/vio.h"
+
+#include <cmath>
+#include <limits>
+
+#include <fmt/format.h>
+
+#include "common/math/so3.h"
+
+namespace orthonav::vio {
+namespace {
+
+constexpr size_t kMostPendingImages = 20;  // 2 s without IMU: older ones will never be used
+
+ImuSample interpolate(const ImuSample& a, const ImuSample& b, int64_t utime) {
+  const double s = static_cast<double>(utime - a.utime) / static_cast<double>(b.utime - a.utime);
+  ImuSample result;
+  result.utime = utime;
+  result.gyro = (1 - s) * a.gyro + s * b.gyro;
+  result.accel = (1 - s) * a.accel + s * b.accel;
+  return result;
+}
+
+}  // namespace
+
+Vio::Vio(const VioOptions& options, const CameraModel& camera, const Extrinsics& extrinsics)
+    : options_(options),
+      camera_(camera),
+      extrinsics_(extrinsics),
+      tracker_(camera, options.tracker),
+      estimator_(options.estimator, extrinsics, options.imu, camera.focal()) {}
+
+void Vio::feed_imu(const ImuSample& sample) {
+  ++counters_["imu.received"];
+  constexpr double kMostRate = 100, kMostForce = 1000;  // rad/s, m/s^2: no sensor of this kind measures more
+  if (!sample.gyro.allFinite() || !sample.accel.allFinite()) {
+    ++counters_["imu.rejected.not_finite"];
+    return;
+  }
+  if (sample.gyro.norm() > kMostRate || sample.accel.norm() > kMostForce) {
+    ++counters_["imu.rejected.implausible"];
+    return;
+  }
+  if (last_imu_ != 0 && sample.utime <= last_imu_) {
+    ++counters_["imu.rejected.order"];
+    return;
+  }
+  last_imu_ = sample.utime;
+  imu_.push_back(sample);
+}
+
+void Vio::feed_image(int64_t utime, const cv::Mat& grey) {
+  ++counters_["camera.received"];
+  if (grey.type() != CV_8UC1 || grey.cols != camera_.width() || grey.rows != camera_.height()) {
+    ++counters_["camera.rejected.size"];
+    return;
+  }
+  if (last_image_ != 0 && utime <= last_image_) {
+    ++counters_["camera.rejected.order"];
+    return;
+  }
+  last_image_ = utime;
+  images_.push_back({utime, grey});
+  if (images_.size() > kMostPendingImages) {
+    images_.pop_front();
+    ++counters_["camera.rejected.no_imu"];
+  }
+}
+
+// Samples from `from` to `to` with both ends interpolated, in IMU time.
+std::vector<ImuSample> Vio::take_imu(int64_t from, int64_t to, bool* gap) {
+  *gap = false;
+  while (imu_.size() >= 2 && imu_[1].utime <= from) imu_.pop_front();
+  std::vector<ImuSample> result;
+  if (imu_.empty() || imu_.front().utime > from) {
+    *gap = true;
+    return result;
+  }
+  for (size_t k = 0; k + 1 < imu_.size(); ++k) {
+    const ImuSample& a = imu_[k];
+    const ImuSample& b = imu_[k + 1];
+    if (a.utime >= to) break;
+    if (1e-6 * static_cast<double>(b.utime - a.utime) > options_.max_imu_gap) *gap = true;
+    if (result.empty()) result.push_back(a.utime < from ? interpolate(a, b, from) : a);
+    result.push_back(b.utime > to ? interpolate(a, b, to) : b);
+  }
+  return result;
+}
+
+void Vio::restart(const std::string& reason) {
+  ++session_;
+  ++counters_["restarts"];
+  restart_reason_ = reason;
+  estimator_.reset();
+}
+
+std::optional<VioOutput> Vio::next() {
+  const auto offset = static_cast<int64_t>(std::llround(1e6 * options_.camera_time_offset));
+  while (!images_.empty() && last_imu_ >= images_.front().utime + offset) {
+    const PendingImage image = images_.front();
+    images_.pop_front();
+    if (imu_.empty() || imu_.front().utime > image.utime + offset) {
+      ++counters_["camera.rejected.no_imu"];
+      continue;
+    }
+    ++counters_["camera.processed"];
+    Eigen::Matrix3d R_cur_prev = Eigen::Matrix3d::Identity();
+    std::vector<ImuSample> samples;
+    if (last_processed_ != 0) {
+      bool gap = false;
+      samples = take_imu(last_processed_ + offset, image.utime + offset, &gap);
+      if (gap) {
+        ++counters_["imu.gaps"];
+        restart("a gap in the IMU");
+        samples.clear();
+      }
+      Preintegration turn(Eigen::Vector3d::Zero(), estimator_.gyro_bias(), options_.imu);
+      for (const ImuSample& sample : samples) turn.add(sample);
+      const Eigen::Matrix3d R_prev_cur = turn.gamma().toRotationMatrix();
+      R_cur_prev = extrinsics_.R_B_C.transpose() * R_prev_cur.transpose() * extrinsics_.R_B_C;
+    }
+    last_processed_ = image.utime;
+
+    const auto& features = tracker_.track(image.grey, R_cur_prev, estimator_.gyro_bias_known());
+    VioOutput output;
+    output.utime = image.utime;
+    output.num_tracked = static_cast<int>(features.size());
+    const auto status = estimator_.process(image.utime, features, samples);
+    if (status == Estimator::Status::kFailed) restart(estimator_.reason());
+    output.session = session_;
+    output.status = estimator_.status();
+    output.reason = restart_reason_.empty() || output.status != Estimator::Status::kInitialising
+                        ? estimator_.reason()
+                        : fmt::format("restarted ({}): {}", restart_reason_, estimator_.reason());
+    output.height_above_ground = estimator_.height_above_ground();
+    output.pose_covariance = estimator_.pose_covariance();
+    output.last_keyframe_id = estimator_.last_keyframe_id();
+    if (output.status != Estimator::Status::kInitialising) {
+      restart_reason_.clear();
+      output.state = estimator_.newest();
+      output.keyframe = estimator_.keyframe();
+      tracker_.drop(estimator_.outliers());
+    }
+    return output;
+  }
+  return std::nullopt;
+}
+
+}  // namespace orthonav::vio

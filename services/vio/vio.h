@@ -1,0 +1,76 @@
+// The odometry without its middleware: IMU and images in, states and keyframes out.
+//
+//   Vio vio(options, camera, extrinsics);
+//   vio.feed_imu(sample);  vio.feed_image(utime, grey);
+//   while (auto output = vio.next()) ...
+//
+// Initialises by itself, in flight or from standstill; finds its own failure, restarts and counts the session up.
+// Bad input is refused, counted and survived. Not thread-safe; deterministic: the outputs depend on the order of the
+// samples of each sensor and not on how the two are interleaved.
+#pragma once
+
+#include <cstdint>
+#include <deque>
+#include <map>
+#include <optional>
+#include <string>
+
+#include <opencv2/core.hpp>
+
+#include "services/vio/options.h"
+
+namespace orthonav::vio {
+
+struct VioOutput {
+  int64_t utime = 0;  // of the image
+  int session = 1;
+  Estimator::Status status = Estimator::Status::kInitialising;
+  std::string reason;        // why initialising or degraded; why the last session ended, at a restart
+  StateValues state;         // meaningful unless initialising
+  double height_above_ground = 0;  // m, NaN: unknown
+  Eigen::Matrix<double, 6, 6> pose_covariance;  // as in vio_state_t
+  int num_tracked = 0;
+  int last_keyframe_id = -1;
+  std::optional<Keyframe> keyframe;
+};
+
+class Vio {
+ public:
+  Vio(const VioOptions& options, const CameraModel& camera, const Extrinsics& extrinsics);
+
+  // Samples must be finite, plausible and in time order; others are counted and ignored.
+  void feed_imu(const ImuSample& sample);
+
+  // `grey`: CV_8UC1 of the camera's size, kept without copying. Others, and images out of order, are counted and
+  // ignored.
+  void feed_image(int64_t utime, const cv::Mat& grey);
+
+  // Processes the next image that the IMU reaches beyond; nullopt when there is none.
+  std::optional<VioOutput> next();
+
+  int session() const { return session_; }
+  // Named numbers for the health: what was received, rejected, restarted.
+  const std::map<std::string, double>& counters() const { return counters_; }
+
+ private:
+  struct PendingImage {
+    int64_t utime;
+    cv::Mat grey;
+  };
+  std::vector<ImuSample> take_imu(int64_t from, int64_t to, bool* gap);
+  void restart(const std::string& reason);
+
+  VioOptions options_;
+  CameraModel camera_;
+  Extrinsics extrinsics_;
+  Tracker tracker_;
+  Estimator estimator_;
+  std::deque<ImuSample> imu_;
+  std::deque<PendingImage> images_;
+  int64_t last_imu_ = 0, last_image_ = 0, last_processed_ = 0;
+  int session_ = 1;
+  std::string restart_reason_;
+  std::map<std::string, double> counters_;
+};
+
+}  // namespace orthonav::vio

@@ -1,0 +1,172 @@
+#include "services/vio/vio_service.h"
+
+#include <algorithm>
+#include <limits>
+
+#include <spdlog/spdlog.h>
+
+#include "common/bus/channels.h"
+#include "common/camera/image_decode.h"
+#include "orthonav/vio_keyframe_t.hpp"
+#include "orthonav/vio_state_t.hpp"
+
+namespace orthonav::vio {
+namespace {
+
+constexpr double kUnknown = std::numeric_limits<double>::quiet_NaN();
+// Images that may wait: one in work and a few that arrived while it was, so that a slow frame costs no track.
+constexpr size_t kImageQueue = 4;
+
+void put(const Eigen::Vector3d& from, double* to) { std::copy_n(from.data(), 3, to); }
+
+void put(const Eigen::Quaterniond& from, double* to) {
+  to[0] = from.w();
+  to[1] = from.x();
+  to[2] = from.y();
+  to[3] = from.z();
+}
+
+void put(const Eigen::Matrix<double, 6, 6>& from, double* to) {
+  Eigen::Map<Eigen::Matrix<double, 6, 6, Eigen::RowMajor>>{to} = from;
+}
+
+}  // namespace
+
+VioService::VioService(Node& node, const std::filesystem::path& config)
+    : node_(node),
+      setup_(load_setup(config)),
+      vio_(setup_.options, setup_.camera, setup_.extrinsics) {
+  node_.subscribe<imu_t>(channel::kImu, Delivery::kAll, [this](const imu_t& message) { on_imu(message); });
+  node_.subscribe<image_t>(channel::kCamera, Delivery::kLatest,
+                           [this](const image_t& message) { on_image(message); }, kImageQueue);
+  node_.health().set_state(Health::State::kStarting, "waiting for IMU and CAMERA");
+}
+
+void VioService::on_imu(const imu_t& message) {
+  ImuSample sample;
+  sample.utime = message.utime;
+  sample.gyro = Eigen::Map<const Eigen::Vector3d>(message.angular_rate);
+  sample.accel = Eigen::Map<const Eigen::Vector3d>(message.specific_force);
+  vio_.feed_imu(sample);
+  drain();
+}
+
+void VioService::on_image(const image_t& message) {
+  const DecodedImage image = decode_image(message, setup_.camera.width(), setup_.camera.height());
+  if (!image.ok()) {
+    node_.health().reject("camera", image.error);
+    return;
+  }
+  vio_.feed_image(message.utime, image.grey);
+  drain();
+}
+
+void VioService::drain() {
+  while (true) {
+    const Stopwatch watch(node_);
+    const auto output = vio_.next();
+    if (!output) break;
+    publish_state(*output, watch.ms());
+    if (output->keyframe) publish_keyframe(*output);
+    update_health(*output);
+  }
+  report_rejects();
+}
+
+void VioService::publish_state(const VioOutput& output, double processing_ms) {
+  using Status = Estimator::Status;
+  vio_state_t message{};
+  message.utime = output.utime;
+  message.session = output.session;
+  message.num_tracked = output.num_tracked;
+  message.last_keyframe_id = output.last_keyframe_id;
+  message.processing_ms = processing_ms;
+  if (output.status == Status::kInitialising) {
+    message.status = vio_state_t::INITIALISING;
+    for (double* field : {message.p_W_B, message.v_W_B, message.gyro_bias, message.accel_bias}) {
+      std::fill_n(field, 3, kUnknown);
+    }
+    std::fill_n(message.q_W_B, 4, kUnknown);
+    std::fill_n(message.pose_covariance, 36, kUnknown);
+    message.height_above_ground = kUnknown;
+  } else {
+    message.status = output.status == Status::kDegraded ? vio_state_t::DEGRADED : vio_state_t::TRACKING;
+    put(Eigen::Vector3d(output.state.p()), message.p_W_B);
+    put(Eigen::Quaterniond(output.state.q()), message.q_W_B);
+    put(Eigen::Vector3d(output.state.v()), message.v_W_B);
+    put(Eigen::Vector3d(output.state.bg()), message.gyro_bias);
+    put(Eigen::Vector3d(output.state.ba()), message.accel_bias);
+    put(output.pose_covariance, message.pose_covariance);
+    message.height_above_ground = output.height_above_ground;
+  }
+  node_.publish(channel::kVioState, message);
+}
+
+void VioService::publish_keyframe(const VioOutput& output) {
+  const Keyframe& keyframe = *output.keyframe;
+  vio_keyframe_t message{};
+  message.utime = keyframe.utime;
+  message.session = output.session;
+  message.id = keyframe.id;
+  put(Eigen::Vector3d(keyframe.state.p()), message.p_W_B);
+  put(Eigen::Quaterniond(keyframe.state.q()), message.q_W_B);
+  put(Eigen::Vector3d(keyframe.state.v()), message.v_W_B);
+  put(setup_.extrinsics.p_B_C, message.p_B_C);
+  put(Eigen::Quaterniond(setup_.extrinsics.R_B_C), message.q_B_C);
+  message.height_above_ground = keyframe.height_above_ground;
+  put(keyframe.relative_covariance, message.relative_covariance);
+  for (const KeyframeFeature& feature : keyframe.features) {
+    vio_feature_t entry{};
+    entry.id = feature.id;
+    entry.pixel[0] = static_cast<float>(feature.pixel.x());
+    entry.pixel[1] = static_cast<float>(feature.pixel.y());
+    put(feature.ray_C, entry.ray_C);
+    put(feature.p_W, entry.p_W);
+    entry.reprojection_error = static_cast<float>(feature.reprojection_error);
+    entry.depth_stddev = static_cast<float>(feature.depth_stddev);
+    message.features.push_back(entry);
+  }
+  message.num_features = static_cast<int32_t>(message.features.size());
+  node_.publish(channel::kVioKeyframe, message);
+}
+
+void VioService::update_health(const VioOutput& output) {
+  using Status = Estimator::Status;
+  Health& health = node_.health();
+  health.set("session", output.session);
+  health.set("features.tracked", output.num_tracked);
+  health.set("keyframes", output.last_keyframe_id + 1);
+  if (output.session != announced_session_ && output.status != Status::kInitialising) {
+    announced_session_ = output.session;
+    spdlog::info("started session {}", output.session);
+  }
+  switch (output.status) {
+    case Status::kInitialising:
+      health.set_state(Health::State::kStarting, "initialising: " + output.reason);
+      break;
+    case Status::kTracking:
+      health.set_state(Health::State::kOk);
+      break;
+    case Status::kDegraded:
+    case Status::kFailed:
+      health.set_state(Health::State::kDegraded, output.reason);
+      break;
+  }
+}
+
+void VioService::report_rejects() {
+  for (const auto& [name, value] : vio_.counters()) {
+    const auto at = name.find("rejected.");
+    if (at == std::string::npos) {
+      node_.health().set(name, value);
+      continue;
+    }
+    // Vio counts "imu.rejected.order"; Health keeps its own count under "rejected.imu.order".
+    const std::string what = name.substr(0, at) + name.substr(at + 9);
+    for (double& shown = reported_[name]; shown < value; ++shown) {
+      node_.health().reject(what, "rejected input: " + what);
+    }
+  }
+}
+
+}  // namespace orthonav::vio

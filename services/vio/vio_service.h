@@ -1,0 +1,38 @@
+// vio on the bus: IMU and CAMERA in, VIO_STATE and VIO_KEYFRAME out.
+#pragma once
+
+#include <filesystem>
+#include <memory>
+#include <string>
+
+#include "common/bus/node.h"
+#include "common/bus/service_main.h"
+#include "orthonav/image_t.hpp"
+#include "orthonav/imu_t.hpp"
+#include "services/vio/vio.h"
+
+namespace orthonav::vio {
+
+class VioService final : public Service {
+ public:
+  // Reads `config`/vio.yaml and `config`/aircraft.yaml and subscribes on `node`, which outlives the service.
+  // Throws ConfigError.
+  VioService(Node& node, const std::filesystem::path& config);
+
+ private:
+  void on_imu(const imu_t& message);
+  void on_image(const image_t& message);
+  void drain();
+  void publish_state(const VioOutput& output, double processing_ms);
+  void publish_keyframe(const VioOutput& output);
+  void update_health(const VioOutput& output);
+  void report_rejects();
+
+  Node& node_;
+  VioSetup setup_;
+  Vio vio_;
+  std::map<std::string, double> reported_;  // rejects already shown in the health
+  int announced_session_ = 0;
+};
+
+}  // namespace orthonav::vio

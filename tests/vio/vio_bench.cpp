@@ -1,0 +1,288 @@
+// Runs the odometry over recorded flights and prints how well it did. Not a test: a tool to tune by.
+//
+//   vio_bench --config config/rural flight1.lcm flight2.lcm      flight logs with TRUTH
+//   vio_bench --config config/default --asl DIR                  EuRoC/ASL folders; calibration from its sensor.yaml
+//
+// One line per flight: position RMSE after alignment in yaw and translation (4-DoF) and by a similarity (Umeyama), the
+// scale of the latter, drift over 100 m, sessions, time to start, time per frame.
+#include <chrono>
+#include <cmath>
+#include <cstdio>
+#include <filesystem>
+#include <fstream>
+#include <map>
+#include <sstream>
+
+#include <CLI/CLI.hpp>
+#include <opencv2/imgcodecs.hpp>
+#include <yaml-cpp/yaml.h>
+
+#include "common/bus/channels.h"
+#include "common/camera/image_decode.h"
+#include "common/flightlog/flightlog.h"
+#include "common/geo/enu_frame.h"
+#include "common/math/align.h"
+#include "common/math/so3.h"
+#include "common/math/statistics.h"
+#include "orthonav/imu_t.hpp"
+#include "orthonav/truth_t.hpp"
+#include "services/vio/vio.h"
+
+namespace orthonav::vio {
+namespace {
+
+struct Pose {
+  Eigen::Vector3d p;
+  Eigen::Quaterniond q;
+};
+
+struct Result {
+  std::vector<VioOutput> outputs;
+  std::vector<double> ms;
+  std::map<int64_t, Pose> truth;
+  std::map<std::string, double> counters;
+};
+
+void run_pending(Vio& vio, Result& result, bool verbose) {
+  while (true) {
+    const auto start = std::chrono::steady_clock::now();
+    auto output = vio.next();
+    const double ms = std::chrono::duration<double, std::milli>(std::chrono::steady_clock::now() - start).count();
+    if (!output) break;
+    if (verbose && (output->keyframe || output->status != Estimator::Status::kTracking)) {
+      const auto& s = output->state;
+      std::printf("%.2f session %d status %d tracked %d features %zu h %.2f v %.2f %.2f %.2f ba %.3f %.3f %.3f bg %.4f %.4f %.4f %.1f ms %s\n",
+                  1e-6 * static_cast<double>(output->utime), output->session, static_cast<int>(output->status),
+                  output->num_tracked, output->keyframe ? output->keyframe->features.size() : 0,
+                  output->height_above_ground, s.v().x(), s.v().y(), s.v().z(), s.ba().x(), s.ba().y(), s.ba().z(),
+                  s.bg().x(), s.bg().y(), s.bg().z(), ms, output->reason.c_str());
+    }
+    result.outputs.push_back(*output);
+    result.ms.push_back(ms);
+  }
+}
+
+Result run_log(const std::filesystem::path& file, const VioSetup& setup, double duration, bool verbose) {
+  Vio vio(setup.options, setup.camera, setup.extrinsics);
+  Result result;
+  LogReader reader(file);
+  std::optional<EnuFrame> frame;
+  int64_t first = 0;
+  while (const auto event = reader.next()) {
+    if (first == 0) first = event->utime;
+    if (1e-6 * static_cast<double>(event->utime - first) > duration) break;
+    if (event->channel == channel::kImu) {
+      if (const auto imu = event->decode<imu_t>()) {
+        ImuSample sample;
+        sample.utime = imu->utime;
+        sample.gyro = Eigen::Map<const Eigen::Vector3d>(imu->angular_rate);
+        sample.accel = Eigen::Map<const Eigen::Vector3d>(imu->specific_force);
+        vio.feed_imu(sample);
+      }
+    } else if (event->channel == channel::kCamera) {
+      if (const auto image = event->decode<image_t>()) {
+        const DecodedImage decoded = decode_image(*image);
+        if (decoded.ok()) vio.feed_image(image->utime, decoded.grey);
+      }
+    } else if (event->channel == channel::kTruth) {
+      if (const auto truth = event->decode<truth_t>()) {
+        const Geodetic position{truth->latitude_deg, truth->longitude_deg, truth->ellipsoidal_height};
+        if (!frame) frame.emplace(position);
+        const double* q = truth->q_ENU_B;
+        result.truth[truth->utime] = {frame->to_enu(position), {q[0], q[1], q[2], q[3]}};
+      }
+    }
+    run_pending(vio, result, verbose);
+  }
+  result.counters = vio.counters();
+  return result;
+}
+
+std::vector<std::vector<std::string>> read_csv(const std::filesystem::path& file) {
+  std::ifstream in(file);
+  std::vector<std::vector<std::string>> rows;
+  for (std::string line; std::getline(in, line);) {
+    if (line.empty() || line[0] == '#') continue;
+    while (!line.empty() && (line.back() == '\r' || line.back() == '\n')) line.pop_back();
+    std::vector<std::string> cells;
+    std::stringstream stream(line);
+    for (std::string cell; std::getline(stream, cell, ',');) cells.push_back(cell);
+    rows.push_back(cells);
+  }
+  return rows;
+}
+
+YAML::Node read_sensor(const std::filesystem::path& file) {
+  std::ifstream in(file);
+  std::string text, line;
+  while (std::getline(in, line)) {
+    if (!line.empty() && line[0] != '%') text += line + "\n";
+  }
+  return YAML::Load(text);
+}
+
+Result run_asl(const std::filesystem::path& folder, const VioOptions& base, double duration, bool verbose) {
+  const auto mav = folder / "mav0";
+  const YAML::Node cam = read_sensor(mav / "cam0/sensor.yaml"), imu = read_sensor(mav / "imu0/sensor.yaml");
+  CameraParameters parameters;
+  parameters.width = cam["resolution"][0].as<int>();
+  parameters.height = cam["resolution"][1].as<int>();
+  parameters.fx = cam["intrinsics"][0].as<double>();
+  parameters.fy = cam["intrinsics"][1].as<double>();
+  parameters.cx = cam["intrinsics"][2].as<double>();
+  parameters.cy = cam["intrinsics"][3].as<double>();
+  if (cam["distortion_model"].as<std::string>() == "equidistant") parameters.model = LensModel::kEquidistant;
+  for (size_t k = 0; k < 4; ++k) parameters.distortion[k] = cam["distortion_coefficients"][k].as<double>();
+  Extrinsics extrinsics;
+  for (int r = 0; r < 3; ++r) {
+    for (int c = 0; c < 3; ++c) extrinsics.R_B_C(r, c) = cam["T_BS"]["data"][4 * r + c].as<double>();
+    extrinsics.p_B_C[r] = cam["T_BS"]["data"][4 * r + 3].as<double>();
+  }
+  extrinsics.R_B_C = Eigen::Quaterniond(extrinsics.R_B_C).normalized().toRotationMatrix();
+  VioOptions options = base;
+  options.imu = {imu["gyroscope_noise_density"].as<double>(), imu["gyroscope_random_walk"].as<double>(),
+                 imu["accelerometer_noise_density"].as<double>(), imu["accelerometer_random_walk"].as<double>()};
+  Vio vio(options, CameraModel(parameters), extrinsics);
+  Result result;
+  const auto images = read_csv(mav / "cam0/data.csv"), samples = read_csv(mav / "imu0/data.csv");
+  for (const auto& row : read_csv(mav / "state_groundtruth_estimate0/data.csv")) {
+    result.truth[std::stoll(row[0]) / 1000] = {
+        {std::stod(row[1]), std::stod(row[2]), std::stod(row[3])},
+        {std::stod(row[4]), std::stod(row[5]), std::stod(row[6]), std::stod(row[7])}};
+  }
+  size_t next_image = 0;
+  const int64_t first = std::stoll(images.front()[0]) / 1000;
+  for (const auto& row : samples) {
+    ImuSample sample;
+    sample.utime = std::stoll(row[0]) / 1000;
+    if (1e-6 * static_cast<double>(sample.utime - first) > duration) break;
+    for (int k = 0; k < 3; ++k) {
+      sample.gyro[k] = std::stod(row[static_cast<size_t>(1 + k)]);
+      sample.accel[k] = std::stod(row[static_cast<size_t>(4 + k)]);
+    }
+    vio.feed_imu(sample);
+    while (next_image < images.size() && std::stoll(images[next_image][0]) / 1000 <= sample.utime) {
+      vio.feed_image(std::stoll(images[next_image][0]) / 1000,
+                     cv::imread((mav / "cam0/data" / images[next_image][1]).string(), cv::IMREAD_GRAYSCALE));
+      ++next_image;
+      run_pending(vio, result, verbose);
+    }
+    run_pending(vio, result, verbose);
+  }
+  result.counters = vio.counters();
+  return result;
+}
+
+// Truth at a time, between its samples.
+std::optional<Pose> truth_at(const std::map<int64_t, Pose>& truth, int64_t utime) {
+  auto after = truth.lower_bound(utime);
+  if (after == truth.end()) return std::nullopt;
+  if (after->first == utime) return after->second;
+  if (after == truth.begin()) return std::nullopt;
+  const auto before = std::prev(after);
+  if (after->first - before->first > 200000) return std::nullopt;
+  const double s =
+      static_cast<double>(utime - before->first) / static_cast<double>(after->first - before->first);
+  return Pose{(1 - s) * before->second.p + s * after->second.p, before->second.q.slerp(s, after->second.q)};
+}
+
+double rmse(const Similarity& fit, const std::vector<Eigen::Vector3d>& from, const std::vector<Eigen::Vector3d>& to) {
+  std::vector<double> errors;
+  for (size_t i = 0; i < from.size(); ++i) errors.push_back((fit * from[i] - to[i]).norm());
+  return root_mean_square(errors);
+}
+
+void report(const std::string& name, const Result& result, const std::filesystem::path& dump) {
+  std::map<int, std::pair<std::vector<Eigen::Vector3d>, std::vector<Eigen::Vector3d>>> sessions;
+  std::vector<double> ms, drift, nees;
+  int64_t start = 0;
+  for (size_t i = 0; i < result.outputs.size(); ++i) {
+    const VioOutput& output = result.outputs[i];
+    if (output.status == Estimator::Status::kInitialising) continue;
+    if (start == 0) start = output.utime;
+    ms.push_back(result.ms[i]);
+    const auto truth = truth_at(result.truth, output.utime);
+    if (!truth) continue;
+    sessions[output.session].first.emplace_back(output.state.p());
+    sessions[output.session].second.push_back(truth->p);
+  }
+  if (sessions.empty() || result.outputs.empty()) {
+    std::printf("%-28s never started (%s)\n", name.c_str(),
+                result.outputs.empty() ? "no images" : result.outputs.back().reason.c_str());
+    return;
+  }
+  size_t total = 0;
+  std::string per_session;
+  double first_scale = 0;
+  for (const auto& [session, tracks] : sessions) {
+    const auto& [from, to] = tracks;
+    total += from.size();
+    if (from.size() < 20) continue;
+    const Similarity rigid = align_yaw_translation(from, to), similar = align_umeyama(from, to, true);
+    // Scale of the first ten seconds, for the start's quality.
+    const size_t head = std::min<size_t>(from.size(), 100);
+    const std::vector<Eigen::Vector3d> from_head(from.begin(), from.begin() + static_cast<long>(head)),
+        to_head(to.begin(), to.begin() + static_cast<long>(head));
+    first_scale = align_umeyama(from_head, to_head, true).scale;
+    double worst = 0;
+    for (size_t i = 0; i < from.size(); ++i) worst = std::max(worst, (rigid * from[i] - to[i]).norm());
+    char text[200];
+    std::snprintf(text, sizeof text, " [4dof %.3f m  max %.3f  umeyama %.3f m  scale %.4f  first %.3f  n %zu]",
+                  rmse(rigid, from, to), worst, rmse(similar, from, to), similar.scale, first_scale, from.size());
+    per_session += text;
+    std::vector<double> path(to.size(), 0.0);
+    for (size_t i = 1; i < to.size(); ++i) path[i] = path[i - 1] + (to[i] - to[i - 1]).norm();
+    for (size_t i = 0, j = 0; i < to.size(); i += 10) {
+      while (j < to.size() && path[j] - path[i] < 100) ++j;
+      if (j >= to.size()) break;
+      drift.push_back(std::abs((from[j] - from[i]).norm() / (to[j] - to[i]).norm() - 1.0));
+    }
+  }
+  std::printf("%-28s sessions %d  start %.1f s%s  drift/100m %.2f %%  ms median %.1f p99 %.1f\n", name.c_str(),
+              result.outputs.back().session,
+              1e-6 * static_cast<double>(start - result.outputs.front().utime), per_session.c_str(),
+              100 * median(drift), quantile(ms, 0.5), quantile(ms, 0.99));
+  if (!dump.empty()) {
+    std::ofstream out(dump);
+    for (const VioOutput& output : result.outputs) {
+      const auto truth = truth_at(result.truth, output.utime);
+      if (!truth || output.status == Estimator::Status::kInitialising) continue;
+      out << output.utime << ' ' << output.state.p().transpose() << ' ' << truth->p.transpose() << ' '
+          << output.state.v().transpose() << ' ' << output.state.ba().transpose() << ' '
+          << output.state.bg().transpose() << ' ' << output.height_above_ground << ' ' << output.num_tracked << ' '
+          << output.pose_covariance.topLeftCorner<3, 3>().trace() << '\n';
+    }
+  }
+}
+
+}  // namespace
+}  // namespace orthonav::vio
+
+int main(int argc, char** argv) {
+  using namespace orthonav;
+  CLI::App app{"Runs the odometry over recorded flights and prints its accuracy"};
+  std::filesystem::path config, dump;
+  std::vector<std::filesystem::path> inputs;
+  bool asl = false, verbose = false;
+  double duration = 1e9;
+  app.add_option("--config", config, "configuration folder")->required();
+  app.add_flag("--asl", asl, "the inputs are EuRoC/ASL folders");
+  app.add_flag("-v,--verbose", verbose, "a line per keyframe");
+  app.add_option("--duration", duration, "seconds of each input to run");
+  app.add_option("--dump", dump, "estimate and truth of the last input, as text");
+  app.add_option("inputs", inputs, "flight logs or ASL folders")->required();
+  CLI11_PARSE(app, argc, argv);
+  cv::setNumThreads(1);
+  try {
+    const vio::VioSetup setup = vio::load_setup(config);
+    for (const auto& input : inputs) {
+      const vio::Result result = asl ? vio::run_asl(input, setup.options, duration, verbose)
+                                     : vio::run_log(input, setup, duration, verbose);
+      vio::report(input.filename().string(), result, dump);
+    }
+  } catch (const std::exception& error) {
+    std::fprintf(stderr, "vio_bench: %s\n", error.what());
+    return 1;
+  }
+  return 0;
+}
