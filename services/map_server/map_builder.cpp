@@ -2,6 +2,10 @@
 
 #include <algorithm>
 #include <cmath>
+#include <deque>
+#include <future>
+#include <memory>
+#include <thread>
 #include <vector>
 
 #include <fmt/format.h>
@@ -61,9 +65,17 @@ void along_outline(const Raster& raster, const std::function<void(const Geodetic
   }
 }
 
-class Builder {
+struct BlockFeatures {
+  cv::Rect tiles;
+  std::vector<TileFeatures> features;  // row by row, the southern first
+  int64_t skipped_nodata = 0;
+  int64_t skipped_texture = 0;
+};
+
+// Builds blocks of one map; one object per thread.
+class BlockBuilder {
  public:
-  Builder(const std::filesystem::path& file, const BuildOptions& options)
+  BlockBuilder(const std::filesystem::path& file, const BuildOptions& options)
       : options_(options),
         raster_(file),
         surface_(make_surface(file, options)),
@@ -78,7 +90,6 @@ class Builder {
     }
     Bounds bounds;
     along_outline(raster_, [&](const Geodetic& position) { bounds.include(frame_.to_enu(surface_.at(position))); });
-    description_.fingerprint = build_fingerprint(file, options);
     description_.anchor = frame_.anchor();
     description_.metres_per_pixel = sigma_;
     // Whole pixels, so that the bounds do not turn on the last digits of a projection.
@@ -97,28 +108,50 @@ class Builder {
     description_.has_surface = surface_.has_model();
   }
 
-  BuildResult run(const std::filesystem::path& out, const std::function<void(double)>& progress) {
+  const MapDescription& description() const { return description_; }
+
+  // Tiles to a side of a block.
+  int group() const {
     const double limit = std::min(kBlockPixels, kMaxSourcePixels / std::max(shrink_, 1.0));
-    const int group = std::max(1, static_cast<int>(limit * sigma_ / options_.tile_size_m));
-    MapDatabaseWriter writer(out, description_);
-    const int blocks_across = (description_.tile_columns + group - 1) / group;
-    const int blocks_up = (description_.tile_rows + group - 1) / group;
-    for (int block = 0; block < blocks_across * blocks_up; ++block) {
-      const int row = block / blocks_across * group;
-      const int column = block % blocks_across * group;
-      build_block(cv::Rect(column, row, std::min(group, description_.tile_columns - column),
-                           std::min(group, description_.tile_rows - row)),
-                  writer);
-      if (progress) progress(static_cast<double>(block + 1) / (blocks_across * blocks_up));
+    return std::max(1, static_cast<int>(limit * sigma_ / options_.tile_size_m));
+  }
+
+  // Features of a rectangle of tiles (in tiles).
+  BlockFeatures build_block(const cv::Rect& tiles) {
+    BlockFeatures result;
+    result.tiles = tiles;
+    result.features.resize(static_cast<size_t>(tiles.area()));
+    const Block block = resample(tiles);
+    if (block.grey.empty() || cv::countNonZero(block.valid) == 0) return result;
+    std::vector<cv::Point2f> points;
+    cv::Mat descriptors;
+    if (options_.features == FeatureKind::kGrid) {
+      points = interest_points(block, tiles, result);
+      descriptors = sift_.describe(fill_invalid(block.grey, block.valid), points);
+    } else {
+      DetectedSift detected = detect_sift(fill_invalid(block.grey, block.valid));
+      points = std::move(detected.points);
+      descriptors = detected.descriptors;
     }
-    if (writer.num_features() == 0) {
-      throw MapDatabaseError(
-          fmt::format("{}: no point of the raster has data and texture around it", raster_.file().string()));
+    for (size_t i = 0; i < points.size(); ++i) {
+      const cv::Point2f& point = points[i];
+      const Eigen::Vector2d en = position(block.i0 + point.x, block.j0 + point.y);
+      const int tile = tile_in(tiles, en);
+      if (tile < 0 || block.valid.at<uchar>(cv::Point(cvRound(point.x), cvRound(point.y))) == 0) continue;
+      const cv::Mat descriptor = descriptors.row(static_cast<int>(i));
+      if (cv::countNonZero(descriptor) == 0) {
+        ++result.skipped_texture;
+        continue;
+      }
+      const GroundPoint ground = surface_.below(frame_, en);
+      if (!ground.known) {
+        ++result.skipped_nodata;
+        continue;
+      }
+      TileFeatures& target = result.features[static_cast<size_t>(tile)];
+      target.positions.emplace_back(en.cast<float>().x(), en.cast<float>().y(), static_cast<float>(ground.up));
+      target.descriptors.insert(target.descriptors.end(), descriptor.ptr(), descriptor.ptr() + kSiftBytes);
     }
-    writer.finish();
-    BuildResult result = counts_;
-    result.description = description_;
-    result.description.num_features = writer.num_features();
     return result;
   }
 
@@ -182,47 +215,6 @@ class Builder {
   // East and north of a pixel of G's picture.
   Eigen::Vector2d position(double i, double j) const { return {(i + 0.5) * sigma_, -(j + 0.5) * sigma_}; }
 
-  void build_block(const cv::Rect& tiles, MapDatabaseWriter& writer) {
-    const Block block = resample(tiles);
-    if (block.grey.empty() || cv::countNonZero(block.valid) == 0) return;
-    std::vector<cv::Point2f> points;
-    cv::Mat descriptors;
-    if (options_.features == FeatureKind::kGrid) {
-      points = interest_points(block, tiles);
-      descriptors = sift_.describe(fill_invalid(block.grey, block.valid), points);
-    } else {
-      DetectedSift detected = detect_sift(fill_invalid(block.grey, block.valid));
-      points = std::move(detected.points);
-      descriptors = detected.descriptors;
-    }
-    std::vector<TileFeatures> features(static_cast<size_t>(tiles.area()));
-    for (size_t i = 0; i < points.size(); ++i) {
-      const cv::Point2f& point = points[i];
-      const Eigen::Vector2d en = position(block.i0 + point.x, block.j0 + point.y);
-      const int tile = tile_in(tiles, en);
-      if (tile < 0 || block.valid.at<uchar>(cv::Point(cvRound(point.x), cvRound(point.y))) == 0) continue;
-      const cv::Mat descriptor = descriptors.row(static_cast<int>(i));
-      if (cv::countNonZero(descriptor) == 0) {
-        ++counts_.skipped_texture;
-        continue;
-      }
-      const GroundPoint ground = surface_.below(frame_, en);
-      if (!ground.known) {
-        ++counts_.skipped_nodata;
-        continue;
-      }
-      TileFeatures& target = features[static_cast<size_t>(tile)];
-      target.positions.emplace_back(en.cast<float>().x(), en.cast<float>().y(), static_cast<float>(ground.up));
-      target.descriptors.insert(target.descriptors.end(), descriptor.ptr(), descriptor.ptr() + kSiftBytes);
-    }
-    for (int row = 0; row < tiles.height; ++row) {
-      for (int column = 0; column < tiles.width; ++column) {
-        writer.write_tile((tiles.y + row) * description_.tile_columns + tiles.x + column,
-                          features[static_cast<size_t>(row * tiles.width + column)]);
-      }
-    }
-  }
-
   // Index within the block's tiles, -1 for another block's.
   int tile_in(const cv::Rect& tiles, const Eigen::Vector2d& en) const {
     const int tile = description_.tile_of(en.x(), en.y());
@@ -232,7 +224,8 @@ class Builder {
   }
 
   // Points of the grid in these tiles that have enough data around them.
-  std::vector<cv::Point2f> interest_points(const Block& block, const cv::Rect& tiles) {
+  std::vector<cv::Point2f> interest_points(const Block& block, const cv::Rect& tiles,
+                                           BlockFeatures& result) const {
     cv::Mat invalid;
     cv::integral(block.valid == 0, invalid, CV_32S);
     const int half = static_cast<int>(std::lround(3 * options_.keypoint_size));
@@ -254,7 +247,7 @@ class Builder {
                           255;
         if (block.valid.at<uchar>(cvRound(v), cvRound(u)) == 0 ||
             holes > options_.max_invalid_fraction * square.area()) {
-          ++counts_.skipped_nodata;
+          ++result.skipped_nodata;
           continue;
         }
         points.emplace_back(static_cast<float>(u), static_cast<float>(v));
@@ -271,7 +264,6 @@ class Builder {
   double sigma_ = 0;
   double shrink_ = 1;
   MapDescription description_;
-  BuildResult counts_;
 };
 
 }  // namespace
@@ -300,7 +292,52 @@ std::string build_fingerprint(const std::filesystem::path& raster, const BuildOp
 
 BuildResult build_map(const std::filesystem::path& raster, const BuildOptions& options,
                       const std::filesystem::path& out, const std::function<void(double)>& progress) {
-  return Builder(raster, options).run(out, progress);
+  std::vector<std::unique_ptr<BlockBuilder>> builders;
+  for (unsigned i = 0; i < std::max(1U, std::thread::hardware_concurrency()); ++i) {
+    builders.push_back(std::make_unique<BlockBuilder>(raster, options));
+  }
+  BuildResult result;
+  result.description = builders.front()->description();
+  result.description.fingerprint = build_fingerprint(raster, options);
+  const int group = builders.front()->group();
+  const int columns = result.description.tile_columns;
+  const int rows = result.description.tile_rows;
+  const size_t blocks_across = static_cast<size_t>((columns + group - 1) / group);
+  const size_t num_blocks = blocks_across * static_cast<size_t>((rows + group - 1) / group);
+  MapDatabaseWriter writer(out, result.description);
+
+  // Blocks are written in their order, and a builder gets its next block when its last has been written, so that as
+  // many blocks are in memory as there are builders.
+  std::deque<std::future<BlockFeatures>> working;
+  size_t written = 0;
+  const auto write_next = [&] {
+    const BlockFeatures block = working.front().get();
+    working.pop_front();
+    for (int i = 0; i < block.tiles.area(); ++i) {
+      const int row = block.tiles.y + i / block.tiles.width;
+      const int column = block.tiles.x + i % block.tiles.width;
+      writer.write_tile(row * columns + column, block.features[static_cast<size_t>(i)]);
+    }
+    result.skipped_nodata += block.skipped_nodata;
+    result.skipped_texture += block.skipped_texture;
+    if (progress) progress(static_cast<double>(++written) / static_cast<double>(num_blocks));
+  };
+  for (size_t i = 0; i < num_blocks; ++i) {
+    if (working.size() == builders.size()) write_next();
+    const int row = static_cast<int>(i / blocks_across) * group;
+    const int column = static_cast<int>(i % blocks_across) * group;
+    const cv::Rect tiles(column, row, std::min(group, columns - column), std::min(group, rows - row));
+    working.push_back(std::async(std::launch::async, [&builder = *builders[i % builders.size()], tiles] {
+      return builder.build_block(tiles);
+    }));
+  }
+  while (!working.empty()) write_next();
+  if (writer.num_features() == 0) {
+    throw MapDatabaseError(fmt::format("{}: no point of the raster has data and texture around it", raster.string()));
+  }
+  writer.finish();
+  result.description.num_features = writer.num_features();
+  return result;
 }
 
 std::filesystem::path prepare_map(const std::filesystem::path& map, const BuildOptions& options,

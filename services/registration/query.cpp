@@ -177,7 +177,7 @@ Query make_query(const Keyframe& keyframe, const cv::Mat& image, const CameraMod
   } else {
     detect_points(turned, camera, query);
   }
-  drop_featureless(query);
+  if (!query.descriptors.empty()) drop_featureless(query);
   if (static_cast<int>(query.points.size()) <= options.min_points) {
     query.refused = fmt::format("{} usable points, more than {} are needed", query.points.size(), options.min_points);
   }

@@ -1,0 +1,53 @@
+// A ground whose brightness is known at every point, for tests that need a map and pictures of it.
+#pragma once
+
+#include <cmath>
+#include <random>
+#include <vector>
+
+#include <Eigen/Core>
+#include <opencv2/core.hpp>
+
+namespace orthonav::test {
+
+// Band-limited brightness as a sum of sinusoids of wavelengths 1.2 ... 30 m in all directions: smooth, and nowhere the
+// same twice. The same seed gives the same ground.
+class Texture {
+ public:
+  explicit Texture(unsigned seed, int num_waves = 60) {
+    std::mt19937 random(seed);
+    std::uniform_real_distribution<double> part(0.0, 1.0);
+    for (int i = 0; i < num_waves; ++i) {
+      const double wavelength = 1.2 * std::pow(25.0, part(random));
+      const double direction = 2 * M_PI * part(random);
+      const double k = 2 * M_PI / wavelength;
+      waves_.push_back({k * std::cos(direction), k * std::sin(direction), 2 * M_PI * part(random)});
+    }
+  }
+
+  double operator()(const Eigen::Vector2d& en) const {
+    double sum = 0;
+    for (const Wave& wave : waves_) sum += std::sin(wave.kx * en.x() + wave.ky * en.y() + wave.phase);
+    return 127.0 + 90.0 * sum / std::sqrt(static_cast<double>(waves_.size()));
+  }
+
+  // A picture whose pixel (u, v) shows the ground point that `ground_of` gives.
+  template <class GroundOf>
+  cv::Mat picture(const cv::Size& size, const GroundOf& ground_of) const {
+    cv::Mat image(size, CV_8U);
+    for (int v = 0; v < size.height; ++v) {
+      for (int u = 0; u < size.width; ++u) {
+        image.at<uchar>(v, u) = cv::saturate_cast<uchar>((*this)(ground_of(Eigen::Vector2d(u, v))));
+      }
+    }
+    return image;
+  }
+
+ private:
+  struct Wave {
+    double kx, ky, phase;
+  };
+  std::vector<Wave> waves_;
+};
+
+}  // namespace orthonav::test
