@@ -3,6 +3,8 @@
 
 #include <cmath>
 #include <filesystem>
+#include <string>
+#include <vector>
 
 #include <opencv2/imgproc.hpp>
 
@@ -39,6 +41,13 @@ inline World rolling_world(double width, double depth, double resolution = 0.5, 
   world.ground_height = cv::mean(world.surface.height)[0];
   world.map_offset = [](const Eigen::Vector2d& p_en) { return Eigen::Vector2d(0.3, -0.2 + 1e-4 * p_en.x()); };
   return world;
+}
+
+// begin, begin + step, ... below end.
+inline std::vector<double> range(double begin, double end, double step) {
+  std::vector<double> values(static_cast<size_t>(std::ceil((end - begin) / step - 1e-9)));
+  for (size_t i = 0; i < values.size(); ++i) values[i] = begin + static_cast<double>(i) * step;
+  return values;
 }
 
 // Where `plan_flight` flies over a flat map of this size, m.

@@ -69,8 +69,8 @@ class Dots : public testing::TestWithParam<Ground> {};
 TEST_P(Dots, AreSeenWhereTheyProject) {
   Surface surface = plain(GetParam().height);
   std::vector<Eigen::Vector3d> dots;
-  for (double north = -24; north <= 24; north += 8) {
-    for (double east = -36; east <= 36; east += 8) {
+  for (const double north : range(-24, 25, 8)) {
+    for (const double east : range(-36, 37, 8)) {
       paint_dot(surface, {east + 0.033, north - 0.017});
       dots.emplace_back(east + 0.033, north - 0.017, GetParam().height(east + 0.033, north - 0.017));
     }

@@ -46,7 +46,7 @@ TEST(UniformSpline, EveryDerivativeIsThatOfTheOneBelow) {
   const UniformSpline<1> spline(0.0, 0.5, control);
   const double h = 1e-4;
   for (int derivative = 0; derivative < 5; ++derivative) {
-    for (double t = 2.0; t < 12.0; t += 0.37) {
+    for (const double t : range(2.0, 12.0, 0.37)) {
       const double slope = (spline.evaluate(t + h, derivative)[0] - spline.evaluate(t - h, derivative)[0]) / (2 * h);
       EXPECT_NEAR(spline.evaluate(t, derivative + 1)[0], slope, 1e-5 * std::pow(2.0, derivative + 2)) << derivative;
     }
@@ -56,7 +56,7 @@ TEST(UniformSpline, EveryDerivativeIsThatOfTheOneBelow) {
 TEST(Trajectory, VelocityAccelerationAndAngularRateAreDerivatives) {
   const Trajectory flight = rural(1);
   const double h = 1e-4;
-  for (double t = 0.5; t < flight.duration(); t += 3.71) {
+  for (const double t : range(0.5, flight.duration(), 3.71)) {
     const MotionState before = flight.at(t - h), now = flight.at(t), after = flight.at(t + h);
     EXPECT_LT((now.v_G_B - (after.p_G_B - before.p_G_B) / (2 * h)).norm(), 1e-6);
     EXPECT_LT((now.a_G_B - (after.v_G_B - before.v_G_B) / (2 * h)).norm(), 1e-6);
@@ -121,7 +121,10 @@ TEST_P(PaperFlight, HasTheFiguresOfThePaper) {
     EXPECT_NEAR(flight.mean_tilt() / kDegree, paper.tilt_deg, 0.01) << seed;
     double height = 0;
     int samples = 0;
-    for (double t = 0; t < flight.duration(); t += 0.5, ++samples) height += flight.at(t).p_G_B.z();
+    for (const double t : range(0, flight.duration(), 0.5)) {
+      height += flight.at(t).p_G_B.z();
+      ++samples;
+    }
     EXPECT_NEAR(height / samples, paper.height, 2.0) << seed;
   }
 }
@@ -131,7 +134,7 @@ TEST_P(PaperFlight, StaysOverTheMap) {
   const double margin = Scenario::load(config_folder(paper.scenario)).flight.border_margin_m - 3.0;
   for (const uint64_t seed : {1, 2, 3, 4, 5, 6, 7, 8}) {
     const Trajectory flight = plan(paper.scenario, paper.width, paper.depth, seed);
-    for (double t = 0; t < flight.duration(); t += 0.5) {
+    for (const double t : range(0, flight.duration(), 0.5)) {
       const Eigen::Vector3d p = flight.at(t).p_G_B;
       ASSERT_GT(p.x(), margin) << seed << " at " << t;
       ASSERT_LT(p.x(), paper.width - margin) << seed << " at " << t;
@@ -147,7 +150,8 @@ TEST_P(PaperFlight, MovesLikeAMultirotorInWind) {
   const Trajectory flight = plan(paper.scenario, paper.width, paper.depth, 1);
   double square = 0, rate_square = 0, most = 0, fastest = 0;
   int samples = 0;
-  for (double t = 0; t < flight.duration(); t += 0.05, ++samples) {
+  for (const double t : range(0, flight.duration(), 0.05)) {
+    ++samples;
     const MotionState state = flight.at(t);
     square += state.a_G_B.squaredNorm();
     rate_square += state.angular_rate.squaredNorm();
@@ -176,7 +180,7 @@ TEST(FlightPlan, TakesOffFromStandstill) {
   const FlightOptions options = Scenario::load(config_folder("rural")).flight;
   const Trajectory flight = rural(4, true);
   EXPECT_GT(flight.duration(), options.duration_s + options.standstill_s + options.height_m / options.climb_speed);
-  for (double t = 0; t < options.standstill_s - 3.5; t += 0.1) {
+  for (const double t : range(0, options.standstill_s - 3.5, 0.1)) {
     const MotionState state = flight.at(t);
     EXPECT_LT(state.v_G_B.norm(), 1e-9);
     EXPECT_LT(state.angular_rate.norm(), 1e-9);
@@ -184,7 +188,7 @@ TEST(FlightPlan, TakesOffFromStandstill) {
   }
   EXPECT_LT(flight.at(1).p_G_B.z(), 0.5);
   double lowest = 1e9;
-  for (double t = flight.duration() - options.duration_s; t < flight.duration(); t += 1) {
+  for (const double t : range(flight.duration() - options.duration_s, flight.duration(), 1)) {
     lowest = std::min(lowest, flight.at(t).p_G_B.z());
   }
   EXPECT_GT(lowest, options.height_m - 8.0);

@@ -120,7 +120,7 @@ cv::Mat CameraEffects::blur(const View& view, const RayCaster& caster, const Cam
     for (int x = 0; x < out.cols; ++x) {
       float sum = 0;
       for (const cv::Mat* flow : {&back, &ahead}) {
-        const cv::Vec2f& move = flow->at<cv::Vec2f>(y, x);
+        const cv::Vec2f move = flow->at<cv::Vec2f>(y, x);
         for (int i = 0; i < half; ++i) {
           const float part = (static_cast<float>(i) + 0.5F) / static_cast<float>(half);
           sum += detail::bilinear<float>(view.luminance, static_cast<float>(x) - part * move[0],

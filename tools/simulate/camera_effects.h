@@ -23,8 +23,8 @@ struct CameraEffectOptions {
   double gain_stddev = 0.06;  // 1 sigma of the logarithm of the gain: exposure drifts
   double gain_time_s = 15.0;  // s, correlation time of that drift
   double vignetting = 0.25;   // fraction of the light lost in the corners
-  double shot_noise = 0.15;   // grey levels^2 of noise variance per grey level of signal
-  double read_noise = 1.2;    // grey levels, 1 sigma
+  double shot_noise = 0.04;   // grey levels^2 of noise variance per grey level of signal
+  double read_noise = 1.0;    // grey levels, 1 sigma
   int jpeg_quality = 90;      // 1..100; 0: raw grey images
 
   static CameraEffectOptions from_config(ConfigNode& node);

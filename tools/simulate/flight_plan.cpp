@@ -124,9 +124,12 @@ std::vector<double> fly_legs(const FlightOptions& options, const std::vector<Leg
   std::vector<double> distance;
   double s = 0;
   double v = options.take_off ? 0 : speed * legs.front().speed;
-  for (double t = 0; t < seconds; t += kSample) {
+  const auto samples = static_cast<size_t>(seconds / kSample) + 1;
+  distance.reserve(samples);
+  size_t i = 0;
+  while (distance.size() < samples) {
     distance.push_back(s);
-    const size_t i = leg_at(legs, s);
+    while (i + 1 < legs.size() && s >= legs[i + 1].start) ++i;
     double allowed = speed * legs[i].speed;
     for (size_t j = i; j < std::min(i + 3, legs.size()); ++j) {
       const double to_corner = std::max(0.0, legs[j].start + legs[j].length - s);
@@ -254,8 +257,8 @@ struct Planner {
 // The lowest surface near the beginning of the path: aircraft do not start from roofs and treetops.
 Eigen::Vector2d take_off_place(const FlightArea& area, const Eigen::Vector2d& near) {
   Eigen::Vector2d best = near;
-  for (double north = -15; north <= 15; north += 1) {
-    for (double east = -15; east <= 15; east += 1) {
+  for (int north = -15; north <= 15; ++north) {
+    for (int east = -15; east <= 15; ++east) {
       const Eigen::Vector2d candidate = near + Eigen::Vector2d(east, north);
       if (area.surface(candidate) < area.surface(best)) best = candidate;
     }

@@ -5,6 +5,7 @@
 #include <limits>
 #include <memory>
 #include <string>
+#include <tuple>
 #include <vector>
 
 #include "common/bus/channels.h"
@@ -38,7 +39,9 @@ class EventQueue {
     int64_t utime;
     int kind;
     size_t index;
-    auto operator<=>(const Entry&) const = default;
+    bool operator<(const Entry& other) const {
+      return std::tie(utime, kind, index) < std::tie(other.utime, other.kind, other.index);
+    }
   };
 
   template <class Msg>

@@ -45,6 +45,7 @@ void ordered_parallel(size_t count, int threads, Make&& make, Consume&& consume)
   };
 
   std::vector<std::thread> workers;
+  workers.reserve(static_cast<size_t>(threads));
   for (int i = 0; i < threads; ++i) workers.emplace_back(worker);
   {
     std::unique_lock lock(mutex);

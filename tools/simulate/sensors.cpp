@@ -45,7 +45,7 @@ class InertialChannel {
 
   const Eigen::Vector3d& bias() const { return bias_; }
   Eigen::Vector3d measure(const Eigen::Vector3d& truth) {
-    const Eigen::Vector3d value = truth + bias_ + white_stddev_ * gaussian3(white_);
+    Eigen::Vector3d value = truth + bias_ + white_stddev_ * gaussian3(white_);
     bias_ += walk_stddev_ * gaussian3(walk_);
     return value;
   }
