@@ -116,15 +116,21 @@ cv::Mat CameraEffects::blur(const View& view, const RayCaster& caster, const Cam
   // The pixel sees at another time what the middle view has at the place from which the scene moves here.
   cv::Mat out(view.luminance.size(), CV_32F);
   const float weight = 1.0F / static_cast<float>(2 * half);
+  const int border = static_cast<int>(std::ceil(length)) + 1;
+  const auto stride = static_cast<int64_t>(view.luminance.step1());
   for (int y = 0; y < out.rows; ++y) {
+    const bool row_inside = y >= border && y < out.rows - border;
+    const cv::Vec2f* const flows[2] = {back.ptr<cv::Vec2f>(y), ahead.ptr<cv::Vec2f>(y)};
     for (int x = 0; x < out.cols; ++x) {
+      const bool inside = row_inside && x >= border && x < out.cols - border;
       float sum = 0;
-      for (const cv::Mat* flow : {&back, &ahead}) {
-        const cv::Vec2f move = flow->at<cv::Vec2f>(y, x);
+      for (const cv::Vec2f* flow : flows) {
+        const cv::Vec2f move = flow[x];
         for (int i = 0; i < half; ++i) {
           const float part = (static_cast<float>(i) + 0.5F) / static_cast<float>(half);
-          sum += detail::bilinear<float>(view.luminance, static_cast<float>(x) - part * move[0],
-                                         static_cast<float>(y) - part * move[1]);
+          const float u = static_cast<float>(x) - part * move[0], v = static_cast<float>(y) - part * move[1];
+          sum += inside ? detail::bilinear_inside(view.luminance.ptr<float>(), stride, u, v)
+                        : detail::bilinear<float>(view.luminance, u, v);
         }
       }
       out.at<float>(y, x) = sum * weight;

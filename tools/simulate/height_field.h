@@ -37,7 +37,6 @@ class HeightField {
     }
     // Bilinear interpolation at pixel (u, v).
     float height_at(float u, float v) const;
-    float luminance_at(float u, float v) const;
   };
 
   // Shares the surface's rasters. Throws std::invalid_argument when they are empty, of different size or type, or
@@ -74,6 +73,20 @@ inline int split(float x, int size, float* fraction) {
   return i;
 }
 
+// Bilinear interpolation where the caller knows that the position and its neighbours lie in the image.
+template <class Pixel>
+float bilinear_inside(const Pixel* data, int64_t stride, float u, float v) {
+  const int i = static_cast<int>(u), j = static_cast<int>(v);
+  const float a = u - static_cast<float>(i), b = v - static_cast<float>(j);
+  const Pixel* top = data + j * stride + i;
+  const Pixel* bottom = top + stride;
+  const float upper = static_cast<float>(top[0]) + a * (static_cast<float>(top[1]) - static_cast<float>(top[0]));
+  const float lower =
+      static_cast<float>(bottom[0]) + a * (static_cast<float>(bottom[1]) - static_cast<float>(bottom[0]));
+  return upper + b * (lower - upper);
+}
+
+// The same with positions outside clamped to the image.
 template <class Pixel>
 float bilinear(const cv::Mat& image, float u, float v) {
   float a, b;
@@ -90,9 +103,6 @@ float bilinear(const cv::Mat& image, float u, float v) {
 
 inline float HeightField::Level::height_at(float u, float v) const {
   return detail::bilinear<float>(height, u, v);
-}
-inline float HeightField::Level::luminance_at(float u, float v) const {
-  return detail::bilinear<uint8_t>(luminance, u, v);
 }
 
 }  // namespace orthonav::simulate

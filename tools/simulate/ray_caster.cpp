@@ -31,42 +31,29 @@ float cell_exit(const LevelRay& ray, float h, int cell_u, int cell_v) {
   return std::max(exit, h);
 }
 
-// Bilinear heights of a level. With `kInside` the caller knows that no position lies outside.
-template <bool kInside>
-class Heights {
+// Bilinear interpolation in a raster. With `kInside` the caller knows that no position lies outside.
+template <class Pixel, bool kInside>
+class Sampler {
  public:
-  explicit Heights(const HeightField::Level& level)
-      : level_(level), data_(level.height.ptr<float>()), stride_(static_cast<int64_t>(level.height.step1())) {}
+  explicit Sampler(const cv::Mat& image)
+      : image_(image), data_(image.ptr<Pixel>()), stride_(static_cast<int64_t>(image.step1())) {}
 
   float operator()(float u, float v) const {
-    if constexpr (kInside) {
-      const int i = static_cast<int>(u), j = static_cast<int>(v);
-      const float a = u - static_cast<float>(i), b = v - static_cast<float>(j);
-      const float* top = data_ + j * stride_ + i;
-      const float* bottom = top + stride_;
-      const float upper = top[0] + a * (top[1] - top[0]), lower = bottom[0] + a * (bottom[1] - bottom[0]);
-      return upper + b * (lower - upper);
-    } else {
-      return level_.height_at(u, v);
-    }
-  }
-
-  // Highest point of a cell.
-  float top_of(int cell_u, int cell_v) const {
-    if constexpr (kInside) return level_.cells[static_cast<size_t>(cell_v) * level_.cell_columns + cell_u].high;
-    return level_.cell(cell_u, cell_v).high;
+    if constexpr (kInside) return detail::bilinear_inside(data_, stride_, u, v);
+    return detail::bilinear<Pixel>(image_, u, v);
   }
 
  private:
-  const HeightField::Level& level_;
-  const float* data_;
+  const cv::Mat& image_;
+  const Pixel* data_;
   int64_t stride_;
 };
 
 // Depth of the first intersection with the surface in [begin, end]; at `end` the ray is not above the surface.
 // `camera_z` is the camera's height.
 template <bool kInside>
-float intersect(const Heights<kInside>& heights, const LevelRay& ray, float camera_z, float begin, float end) {
+float intersect(const HeightField::Level& level, const Sampler<float, kInside>& heights, const LevelRay& ray,
+                float camera_z, float begin, float end) {
   const float steepness = std::max(std::abs(ray.su), std::abs(ray.sv));
   const float texel_step = steepness > 1e-4F ? 1.0F / steepness : end - begin;
   const auto clearance = [&](float h) { return camera_z - h - heights(ray.u0 + ray.su * h, ray.v0 + ray.sv * h); };
@@ -77,7 +64,7 @@ float intersect(const Heights<kInside>& heights, const LevelRay& ray, float came
     const float u = ray.u0 + ray.su * h, v = ray.v0 + ray.sv * h;
     const int cell_u = static_cast<int>(std::floor(u)) >> HeightField::kCellBits;
     const int cell_v = static_cast<int>(std::floor(v)) >> HeightField::kCellBits;
-    const float top = camera_z - heights.top_of(cell_u, cell_v);  // depth of the cell's highest point
+    const float top = camera_z - level.cell(cell_u, cell_v).high;  // depth of the cell's highest point
     float next = h + texel_step;
     if (h < top) next = std::min(cell_exit(ray, h, cell_u, cell_v) + 0.01F * texel_step, top + 1e-4F);
     next = std::min(std::max(next, h + 1e-4F), end);
@@ -220,8 +207,9 @@ void RayCaster::render_tile(const Frame& frame, const cv::Rect& tile, View& view
   const float end = std::max(begin, frame.p.z() - range.low + 1e-3F);
   const Eigen::Vector2f low = frame.foot + (slope_min * begin).cwiseMin(slope_min * end);
   const Eigen::Vector2f high = frame.foot + (slope_max * begin).cwiseMax(slope_max * end);
-  const bool inside = low.minCoeff() >= 1.0F && high.x() < static_cast<float>(level.height.cols) - 2.0F &&
-                      high.y() < static_cast<float>(level.height.rows) - 2.0F;
+  // The coarser level's neighbours are inside too.
+  const bool inside = low.minCoeff() >= 1.0F && high.x() < static_cast<float>(level.height.cols) - 4.0F &&
+                      high.y() < static_cast<float>(level.height.rows) - 4.0F;
   if (inside) {
     shade_tile<true>(frame, tile, slopes, begin, end, view, outside);
   } else {
@@ -234,7 +222,8 @@ void RayCaster::shade_tile(const Frame& frame, const cv::Rect& tile, const Slope
                            View& view, int64_t& outside) const {
   const HeightField::Level& level = *frame.level;
   const HeightField::Level& coarse = *frame.coarse;
-  const Heights<kInside> heights(level);
+  const Sampler<float, kInside> heights(level.height);
+  const Sampler<uint8_t, kInside> fine_light(level.luminance), coarse_light(coarse.luminance);
   // Pixel centres are at integers, so the coarser level's coordinate is not just the half of the finer one's.
   const auto ratio = static_cast<float>(level.resolution / coarse.resolution);
   for (int y = 0; y < tile.height; ++y) {
@@ -247,15 +236,14 @@ void RayCaster::shade_tile(const Frame& frame, const cv::Rect& tile, const Slope
         ++outside;
       } else {
         const LevelRay ray{frame.foot.x(), frame.foot.y(), slope.x(), slope.y()};
-        depth = intersect(heights, ray, frame.p.z(), begin, end);
+        depth = intersect(level, heights, ray, frame.p.z(), begin, end);
         const float u = ray.u0 + ray.su * depth, v = ray.v0 + ray.sv * depth;
         if (!kInside && (u < -0.5F || v < -0.5F || u > static_cast<float>(level.height.cols) - 0.5F ||
                          v > static_cast<float>(level.height.rows) - 0.5F)) {
           ++outside;
         }
-        const float fine = level.luminance_at(u, v);
-        out[x] =
-            fine + frame.blend * (coarse.luminance_at((u + 0.5F) * ratio - 0.5F, (v + 0.5F) * ratio - 0.5F) - fine);
+        const float fine = fine_light(u, v);
+        out[x] = fine + frame.blend * (coarse_light((u + 0.5F) * ratio - 0.5F, (v + 0.5F) * ratio - 0.5F) - fine);
       }
       if (x == 0 && y == 0) view.node_depth.at<float>(tile.y / kTile, tile.x / kTile) = depth;
     }
