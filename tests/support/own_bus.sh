@@ -1,7 +1,6 @@
 #!/usr/bin/env bash
-# Runs a command on an LCM bus of its own, on loopback, where nothing leaves the machine: in a network
-# namespace where that is allowed, else with a multicast port that no other bus has.
-#   deploy/own-bus COMMAND [ARGUMENT...]
+# Runs a command on an LCM bus of its own: in a network namespace where that is allowed, else on loopback
+# with a multicast port that no other test has.
 set -eu
 if unshare -rn true 2>/dev/null; then
   export LCM_DEFAULT_URL='udpm://239.255.76.67:7667?ttl=0'
