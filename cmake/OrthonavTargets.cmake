@@ -52,10 +52,11 @@ function(orthonav_executable name)
   install(TARGETS ${name} RUNTIME DESTINATION bin)
 endfunction()
 
-# orthonav_test(name SOURCES a.cpp ... LINKS lib ... [LABELS ...] [TIMEOUT s] [OWN_BUS]): a GoogleTest program.
-# Each of its tests is a ctest test of its own; with OWN_BUS, on an LCM bus of its own (tests/support/own_bus.sh).
+# orthonav_test(name SOURCES a.cpp ... LINKS lib ... [LABELS ...] [TIMEOUT s] [FIXTURE f] [OWN_BUS] [ALONE]):
+# a GoogleTest program. Each of its tests is a ctest test of its own; with OWN_BUS, on an LCM bus of its own
+# (deploy/own-bus); with FIXTURE, after the ctest fixture f; with ALONE, while no other test runs (real time).
 function(orthonav_test name)
-  cmake_parse_arguments(ARG "OWN_BUS" "TIMEOUT" "SOURCES;LINKS;LABELS" ${ARGN})
+  cmake_parse_arguments(ARG "OWN_BUS;ALONE" "TIMEOUT;FIXTURE" "SOURCES;LINKS;LABELS" ${ARGN})
   if(NOT ARG_TIMEOUT)
     set(ARG_TIMEOUT 120)
   endif()
@@ -64,10 +65,11 @@ function(orthonav_test name)
   orthonav_compile_options(${name})
   set_target_properties(${name} PROPERTIES RUNTIME_OUTPUT_DIRECTORY ${CMAKE_BINARY_DIR}/tests)
   if(ARG_OWN_BUS)
-    set_target_properties(${name} PROPERTIES CROSSCOMPILING_EMULATOR ${CMAKE_SOURCE_DIR}/tests/support/own_bus.sh)
+    set_target_properties(${name} PROPERTIES CROSSCOMPILING_EMULATOR ${CMAKE_SOURCE_DIR}/deploy/own-bus)
   endif()
   include(GoogleTest)
   target_compile_definitions(${name} PRIVATE
     ORTHONAV_BIN="${CMAKE_BINARY_DIR}/bin" ORTHONAV_SOURCE="${CMAKE_SOURCE_DIR}")
-  gtest_discover_tests(${name} DISCOVERY_TIMEOUT 60 PROPERTIES TIMEOUT ${ARG_TIMEOUT} LABELS "${ARG_LABELS}")
+  gtest_discover_tests(${name} DISCOVERY_TIMEOUT 60
+    PROPERTIES TIMEOUT ${ARG_TIMEOUT} LABELS "${ARG_LABELS}" FIXTURES_REQUIRED "${ARG_FIXTURE}" RUN_SERIAL "${ARG_ALONE}")
 endfunction()

@@ -13,8 +13,10 @@
 namespace orthonav::fusion {
 namespace {
 
-constexpr double kFarthest = 1e6;       // m: no flight leads further from its origin
-constexpr int kLargestIdGap = 1000;     // more keyframes or sessions are not lost in a row
+constexpr double kFarthest = 1e6;    // m: no flight leads further from its origin
+constexpr int kLargestIdGap = 1000;  // more keyframes are not lost in a row
+constexpr int kLargestSessionGap =
+    86'400;                             // sessions are numbered by seconds: a day later is another flight, or nonsense
 constexpr double kLargestStddev = 1e4;  // m, of a fix that says anything
 
 double seconds_between(int64_t from, int64_t to) {
@@ -113,7 +115,7 @@ Outcome Fusion::add_keyframe(const Keyframe& keyframe) {
   if (!is_pose(keyframe.p_W_B, keyframe.q_W_B) || keyframe.session < 0 || keyframe.id < 0) return Outcome::kBadNumber;
   if (keyframe.session < session_) return Outcome::kOldSession;
   if (keyframe.session > session_) {
-    if (session_ > 0 && keyframe.session - session_ > kLargestIdGap) return Outcome::kBadNumber;
+    if (session_ > 0 && keyframe.session - session_ > kLargestSessionGap) return Outcome::kBadNumber;
     start_segment(keyframe.session);
   }
   Outcome outcome = Outcome::kUsed;
@@ -296,7 +298,7 @@ Fusion::Propagated Fusion::propagate(const OdometryState& state) {
     return result;
   }
   if (state.session > session_) {
-    if (session_ > 0 && state.session - session_ > kLargestIdGap) {
+    if (session_ > 0 && state.session - session_ > kLargestSessionGap) {
       result.outcome = Outcome::kBadNumber;
       return result;
     }

@@ -60,6 +60,7 @@ void Vio::feed_image(int64_t utime, const cv::Mat& grey) {
     return;
   }
   last_image_ = utime;
+  if (session_ == 0) session_ = static_cast<int>(utime / 1'000'000);
   images_.push_back({utime, grey});
   if (images_.size() > kMostPendingImages) {
     images_.pop_front();

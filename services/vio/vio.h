@@ -5,6 +5,8 @@
 //   while (auto output = vio.next()) ...
 //
 // Initialises by itself, in flight or from standstill; finds its own failure, restarts and counts the session up.
+// The first session is the Unix second of the first image: a process that is started anew in flight takes a larger
+// number than its predecessor, since no session is shorter than a second.
 // Bad input is refused, counted and survived. Not thread-safe; deterministic: the outputs depend on the order of the
 // samples of each sensor and not on how the two are interleaved.
 #pragma once
@@ -25,8 +27,8 @@ struct VioOutput {
   int64_t utime = 0;  // of the image
   int session = 1;
   Estimator::Status status = Estimator::Status::kInitialising;
-  std::string reason;        // why initialising or degraded; why the last session ended, at a restart
-  StateValues state;         // meaningful unless initialising
+  std::string reason;              // why initialising or degraded; why the last session ended, at a restart
+  StateValues state;               // meaningful unless initialising
   double height_above_ground = 0;  // m, NaN: unknown
   Eigen::Matrix<double, 6, 6> pose_covariance;  // as in vio_state_t
   int num_tracked = 0;
@@ -68,7 +70,7 @@ class Vio {
   std::deque<ImuSample> imu_;
   std::deque<PendingImage> images_;
   int64_t last_imu_ = 0, last_image_ = 0, last_processed_ = 0;
-  int session_ = 1;
+  int session_ = 0;  // 0: before the first image
   std::string restart_reason_;
   std::map<std::string, double> counters_;
 };

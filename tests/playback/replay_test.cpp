@@ -1,0 +1,142 @@
+// A short flight through all services in one process.
+#include "tools/replay/replay.h"
+
+#include <filesystem>
+#include <fstream>
+#include <limits>
+#include <vector>
+
+#include <gtest/gtest.h>
+
+#include "common/bus/channels.h"
+#include "common/flightlog/flightlog.h"
+#include "orthonav/gnss_reference_t.hpp"
+#include "orthonav/image_t.hpp"
+#include "orthonav/imu_t.hpp"
+#include "orthonav/nav_state_t.hpp"
+#include "orthonav/truth_t.hpp"
+#include "tests/playback/flight_fixture.h"
+
+namespace orthonav {
+namespace {
+
+namespace fs = std::filesystem;
+using test::flight_folder;
+
+void fly(const fs::path& log, const fs::path& out) {
+  replay::ReplayOptions options;
+  options.config = test::flight_config();
+  options.log = log;
+  options.map = test::flight_map();
+  options.out = out;
+  replay::replay(options);
+}
+
+// The flight as orthonav-replay flew it in make_flight.sh.
+fs::path flown() {
+  return flight_folder() / "replayed.lcm";
+}
+
+std::vector<LogEvent> events_of(const fs::path& log, const std::string& channel) {
+  std::vector<LogEvent> events;
+  LogReader reader(log);
+  while (auto event = reader.next()) {
+    if (event->channel == channel) events.push_back(std::move(*event));
+  }
+  return events;
+}
+
+std::vector<nav_state_t> nav_states(const fs::path& log) {
+  std::vector<nav_state_t> states;
+  for (const auto& event : events_of(log, channel::kNavState)) states.push_back(event.decode<nav_state_t>().value());
+  return states;
+}
+
+TEST(Replay, FindsItselfOnTheMapFromAnUnknownStart) {
+  const auto report = test::evaluate(flown());
+  EXPECT_LT(report["fusion"]["rmse_m"].get<double>(), 3.76);
+  EXPECT_LT(report["fusion"]["time_to_first_fix_s"].get<double>(), 20.0);
+  EXPECT_EQ(report["registration"]["false_fixes"].get<int>(), 0);
+}
+
+TEST(Replay, GivesNoGeodeticPositionBeforeTheFirstFixAndOneForEveryFrameAfter) {
+  bool fixed = false;
+  int before = 0, after = 0;
+  for (const auto& state : nav_states(flown())) {
+    const bool geodetic = std::isfinite(state.latitude_deg);
+    if (state.mode == nav_state_t::MAP_AIDED) fixed = true;
+    EXPECT_EQ(geodetic, fixed) << "at " << state.utime;
+    ++(fixed ? after : before);
+  }
+  EXPECT_GT(before, 0);
+  EXPECT_GT(after, 300);
+}
+
+TEST(Replay, RepeatsBitForBit) {
+  const fs::path again = flight_folder() / "again.lcm";
+  fly(test::flight_log(), again);
+  const auto bytes = [](const fs::path& file) {
+    std::ifstream stream(file, std::ios::binary);
+    return std::string((std::istreambuf_iterator<char>(stream)), std::istreambuf_iterator<char>());
+  };
+  EXPECT_TRUE(bytes(flown()) == bytes(again)) << flown() << " and " << again << " differ";
+  fs::remove(again);
+}
+
+// Without the evaluation's channels the chain must say the very same.
+TEST(Replay, TruthDoesNotReachTheChain) {
+  const fs::path blind = flight_folder() / "blind.lcm", out = flight_folder() / "blind-out.lcm";
+  {
+    LogReader reader(test::flight_log());
+    LogWriter writer(blind);
+    while (const auto event = reader.next()) {
+      if (event->channel == channel::kTruth || event->channel == channel::kGnssReference) continue;
+      writer.write(event->utime, event->channel, event->data.data(), event->data.size());
+    }
+  }
+  fly(blind, out);
+  const auto with = events_of(flown(), channel::kNavState), without = events_of(out, channel::kNavState);
+  ASSERT_EQ(with.size(), without.size());
+  for (size_t i = 0; i < with.size(); ++i) ASSERT_EQ(with[i].data, without[i].data) << "NAV_STATE number " << i;
+  fs::remove(blind);
+  fs::remove(out);
+}
+
+// One flight with every kind of bad input that a log can carry.
+TEST(Replay, BadInputIsSurvivedWithoutLosingThePosition) {
+  const fs::path bad = flight_folder() / "bad.lcm", out = flight_folder() / "bad-out.lcm";
+  {
+    LogReader reader(test::flight_log());
+    LogWriter writer(bad);
+    int images = 0, samples = 0;
+    while (auto event = reader.next()) {
+      if (event->channel == channel::kCamera && ++images % 40 == 0) {
+        image_t image = event->decode<image_t>().value();
+        const int kind = images / 40 % 4;
+        if (kind == 0) image.data.resize(image.data.size() / 2);                     // truncated JPEG
+        if (kind == 1) std::fill(image.data.begin() + 300, image.data.end(), 0x5A);  // corrupt JPEG
+        if (kind == 2) image.data = {1, 2, 3};                                       // no JPEG
+        if (kind == 3) image.width = 320;                                            // wrong size
+        image.size = static_cast<int32_t>(image.data.size());
+        writer.write(event->utime, event->channel, image);
+        continue;
+      }
+      if (event->channel == channel::kImu && ++samples % 500 == 0) {
+        imu_t imu = event->decode<imu_t>().value();
+        if (samples % 1000 == 0) imu.utime -= 1'000'000;
+        imu.angular_rate[0] = std::numeric_limits<double>::quiet_NaN();
+        writer.write(event->utime, event->channel, imu);
+        writer.write(event->utime, event->channel, "no message", 10);
+      }
+      writer.write(event->utime, event->channel, event->data.data(), event->data.size());
+    }
+  }
+  fly(bad, out);
+  const auto report = test::evaluate(out);
+  EXPECT_LT(report["fusion"]["rmse_m"].get<double>(), 3.76);
+  fs::remove(bad);
+  fs::remove(out);
+}
+
+}  // namespace
+}  // namespace orthonav

@@ -1,0 +1,41 @@
+#include <chrono>
+#include <cstdio>
+
+#include <CLI/CLI.hpp>
+#include <spdlog/sinks/stdout_color_sinks.h>
+#include <spdlog/spdlog.h>
+
+#include "common/bus/node.h"
+#include "tools/replay/replay.h"
+
+int main(int argc, char** argv) {
+  CLI::App app{"Flies a log through all services in one process, as fast as the machine allows, repeatably."};
+  orthonav::replay::ReplayOptions options;
+  bool timings = false;
+  app.add_option("--config", options.config, "folder of the aircraft or scenario, e.g. config/rural")
+      ->required()
+      ->check(CLI::ExistingDirectory);
+  auto* log = app.add_option("--log", options.log, "LCM log to fly")->check(CLI::ExistingFile);
+  auto* asl = app.add_option("--asl", options.asl, "EuRoC/ASL folder to fly")->check(CLI::ExistingDirectory);
+  log->excludes(asl);
+  app.add_option("--map", options.map, "map: a raster or a database of orthonav-build-map (default: odometry alone)")
+      ->check(CLI::ExistingFile);
+  app.add_option("--out", options.out, "LCM log to write: the sensors and everything the services said")->required();
+  app.add_flag("--timings", timings, "fill in the processing times, which makes the output differ from run to run");
+  CLI11_PARSE(app, argc, argv);
+  spdlog::set_default_logger(spdlog::stderr_color_mt("replay"));
+  orthonav::Stopwatch::enable_in_replay(timings);
+  options.progress = [](double fraction) { std::fprintf(stderr, "\r  replaying: %3.0f %%", 100 * fraction); };
+  try {
+    const auto start = std::chrono::steady_clock::now();
+    const auto summary = orthonav::replay::replay(options);
+    const double elapsed = std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
+    std::fprintf(stderr, "\r");
+    std::printf("%.1f s of flight replayed in %.1f s; %lld messages in %s\n", summary.flight_seconds, elapsed,
+                static_cast<long long>(summary.messages), options.out.c_str());
+  } catch (const std::exception& error) {
+    std::fprintf(stderr, "orthonav-replay: %s\n", error.what());
+    return 1;
+  }
+  return 0;
+}

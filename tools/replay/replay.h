@@ -1,0 +1,31 @@
+// A flight through all services in one process: as fast as the machine allows, and bit for bit the same each time.
+//
+// The services are the very classes that run as processes on the live bus, each on a Node of its own; the nodes
+// share one memq:// instance of LCM. After each sensor message everything it caused is handled before the next one.
+#pragma once
+
+#include <cstdint>
+#include <filesystem>
+#include <functional>
+
+namespace orthonav::replay {
+
+struct ReplayOptions {
+  std::filesystem::path config;                   // folder of the aircraft or scenario
+  std::filesystem::path log;                      // an LCM log, or
+  std::filesystem::path asl;                      // an EuRoC/ASL folder
+  std::filesystem::path map;                      // raster or map database; empty: odometry alone
+  std::filesystem::path out;                      // LCM log of everything that was on the bus
+  std::function<void(double fraction)> progress;  // called about once per second of flight; may be empty
+};
+
+struct ReplaySummary {
+  double flight_seconds = 0;  // first to last sensor message
+  int64_t messages = 0;       // written to the output
+};
+
+// Replays the whole source. Throws std::runtime_error or ConfigError naming the file at fault. One replay at a time
+// per process, since random generators of libraries are seeded anew.
+ReplaySummary replay(const ReplayOptions& options);
+
+}  // namespace orthonav::replay
