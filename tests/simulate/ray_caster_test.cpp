@@ -209,6 +209,17 @@ TEST_F(Effects, AtZeroLeaveTheLightAsItIs) {
   EXPECT_EQ(high, 100);
 }
 
+TEST_F(Effects, ExposureDriftsAroundTheMeanLevel) {
+  CameraEffectOptions options = no_effects();
+  options.mean_level = 120;
+  for (const double gain : CameraEffects(options, rural_camera(), 3).gains(50, 0.1, 80)) EXPECT_DOUBLE_EQ(gain, 1.5);
+  options.gain_stddev = 0.06;
+  const std::vector<double> gains = CameraEffects(options, rural_camera(), 3).gains(100000, 0.1, 80);
+  double square = 0;
+  for (const double gain : gains) square += std::pow(std::log(gain / 1.5), 2);
+  EXPECT_NEAR(std::sqrt(square / static_cast<double>(gains.size())), 0.06, 0.006);
+}
+
 TEST_F(Effects, NoiseHasTheVarianceOfItsModel) {
   CameraEffectOptions options = no_effects();
   options.shot_noise = 0.15;

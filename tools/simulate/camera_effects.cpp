@@ -68,6 +68,7 @@ cv::Mat dense_flow(const cv::Mat& nodes, cv::Size size) {
 CameraEffectOptions CameraEffectOptions::from_config(ConfigNode& node) {
   CameraEffectOptions options;
   node.read("exposure_ms", options.exposure_ms, 0.0, 100.0);
+  node.read("mean_level", options.mean_level, 1.0, 255.0);
   node.read("gain_stddev", options.gain_stddev, 0.0, 1.0);
   node.read("gain_time_s", options.gain_time_s, 0.1, 1e4);
   node.read("vignetting", options.vignetting, 0.0, 0.9);
@@ -97,10 +98,11 @@ CameraEffects::CameraEffects(const CameraEffectOptions& options, const CameraMod
   }
 }
 
-std::vector<double> CameraEffects::gains(size_t count, double period) const {
+std::vector<double> CameraEffects::gains(size_t count, double period, double mean_luminance) const {
   RandomStream stream(seed_, "camera.gain");
   std::vector<double> gains = correlated_noise(stream, count, period, options_.gain_stddev, options_.gain_time_s);
-  for (double& gain : gains) gain = std::exp(gain);
+  const double base = options_.mean_level / std::max(mean_luminance, 1.0);
+  for (double& gain : gains) gain = base * std::exp(gain);
   return gains;
 }
 

@@ -20,6 +20,7 @@ namespace orthonav::simulate {
 
 struct CameraEffectOptions {
   double exposure_ms = 4.0;   // ms, time of exposure, during which motion blurs the image
+  double mean_level = 110.0;  // grey level to which the mean luminance of the world is exposed
   double gain_stddev = 0.06;  // 1 sigma of the logarithm of the gain: exposure drifts
   double gain_time_s = 15.0;  // s, correlation time of that drift
   double vignetting = 0.25;   // fraction of the light lost in the corners
@@ -36,8 +37,8 @@ class CameraEffects {
  public:
   CameraEffects(const CameraEffectOptions& options, const CameraModel& camera, uint64_t seed);
 
-  // Gain of the exposure for frames 0 .. count - 1, `period` seconds apart.
-  std::vector<double> gains(size_t count, double period) const;
+  // Gain of the exposure for frames 0 .. count - 1, `period` seconds apart, over a world of this mean luminance.
+  std::vector<double> gains(size_t count, double period, double mean_luminance) const;
 
   // The 8-bit image of a view. `begin` and `end` are the camera's poses at the ends of the exposure, `pose` that of
   // the view, in its middle.

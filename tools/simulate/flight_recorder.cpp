@@ -110,7 +110,8 @@ RecordingSummary record_flight(const Scenario& scenario, const World& world, uin
 
   const RayCaster caster(field, scenario.camera);
   const CameraEffects effects(scenario.camera_effects, scenario.camera, seed);
-  const std::vector<double> gains = effects.gains(record.frames.size(), 1.0 / scenario.sensors.camera.rate_hz);
+  const std::vector<double> gains =
+      effects.gains(record.frames.size(), 1.0 / scenario.sensors.camera.rate_hz, field.mean_luminance());
   const double half_exposure = 0.5e-3 * scenario.camera_effects.exposure_ms;
   RecordingSummary summary;
   const auto shoot = [&](size_t i) {

@@ -46,6 +46,7 @@ class HeightField {
   const std::vector<Level>& levels() const { return levels_; }
   double resolution() const { return levels_.front().resolution; }
   Range range() const { return range_; }
+  double mean_luminance() const { return cv::mean(levels_.back().luminance)[0]; }
 
   // Height, m in G, of the surface at a point (east, north) of G; and averaged over about `width` m around it.
   double height(const Eigen::Vector2d& p_en) const;
