@@ -31,7 +31,7 @@ struct EstimatorOptions {
   int window = 12;                   // keyframes
   double keyframe_parallax = 20;     // pixels
   double keyframe_tracked = 0.5;     // fraction of the last keyframe's features below which a new one is made
-  double pixel_sigma = 0.5;          // pixels, 1 sigma of a tracked feature
+  double pixel_sigma = 0.3;          // pixels, 1 sigma of a tracked feature
   double robust_width = 1.5;         // sigmas at which the loss turns linear
   double outlier_error = 3.0;        // pixels, root mean square over the window, or in the newest frame twice that
   double min_parallax = 4.0;         // pixels, before a landmark is triangulated
@@ -120,6 +120,7 @@ class Estimator {
   // estimator_start.cpp
   void collect_for_start(const std::vector<TrackedFeature>& features);
   bool standing_still(const std::vector<TrackedFeature>& features) const;
+  void thin_out();
   bool try_start();
   double scale_sigma(const NormalEquations& equations) const;
 

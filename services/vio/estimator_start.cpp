@@ -82,16 +82,7 @@ void Estimator::collect_for_start(const std::vector<TrackedFeature>& features) {
   const double interval = 1e-6 * static_cast<double>(newest.utime - last.utime);
   newest.keyframe = interval > options_.init_interval - 1e-3 || parallax > options_.init_parallax;
   if (!newest.keyframe) return;
-  if (static_cast<int>(frames_.size()) > options_.window) {
-    const Frame* oldest = frames_.front().get();
-    for (auto it = landmarks_.begin(); it != landmarks_.end();) {
-      auto& observations = it->second.observations;
-      if (observations.front().frame == oldest) observations.erase(observations.begin());
-      it = observations.empty() ? landmarks_.erase(it) : std::next(it);
-    }
-    frames_.erase(frames_.begin());
-    frames_.front()->imu.reset();
-  }
+  if (static_cast<int>(frames_.size()) > options_.window) thin_out();
   if (try_start()) {
     status_ = Status::kTracking;
     reason_.clear();
@@ -101,6 +92,35 @@ void Estimator::collect_for_start(const std::vector<TrackedFeature>& features) {
     update_height();
     publish_keyframe();
   }
+}
+
+void Estimator::thin_out() {
+  // A longer stretch makes the scale better known, as long as it is held together by features seen throughout.
+  int throughout = 0;
+  for (const auto& [id, landmark] : landmarks_) {
+    throughout += landmark.tracked && landmark.anchor().frame == frames_.front().get() ? 1 : 0;
+  }
+  size_t leaving = 0;
+  if (throughout >= options_.degraded_landmarks) {
+    double shortest = INFINITY;
+    for (size_t k = 1; k + 1 < frames_.size(); ++k) {
+      const double interval = static_cast<double>(frames_[k + 1]->utime - frames_[k - 1]->utime);
+      if (interval < shortest) {
+        shortest = interval;
+        leaving = k;
+      }
+    }
+    frames_[leaving]->imu->append(*frames_[leaving + 1]->imu);
+    frames_[leaving + 1]->imu = std::move(frames_[leaving]->imu);
+  } else {
+    frames_[1]->imu.reset();
+  }
+  for (auto it = landmarks_.begin(); it != landmarks_.end();) {
+    auto& observations = it->second.observations;
+    std::erase_if(observations, [&](const Observation& o) { return o.frame == frames_[leaving].get(); });
+    it = observations.empty() ? landmarks_.erase(it) : std::next(it);
+  }
+  frames_.erase(frames_.begin() + static_cast<std::ptrdiff_t>(leaving));
 }
 
 bool Estimator::try_start() {
@@ -129,7 +149,7 @@ bool Estimator::try_start() {
                          gyro_bias_known_ ? gyro_bias_sigma_ : std::max(0.1, gyro_bias_sigma_), weight(),
                          options_.pixel_sigma);
   if (!start.ok) return give_up(start.reason);
-  if (start.residual > 4 * options_.outlier_error) {
+  if (start.residual > 2.5 * options_.pixel_sigma) {
     return give_up(fmt::format("the motion does not fit the IMU ({:.1f} px)", start.residual));
   }
   InitialUncertainty sigma;

@@ -60,7 +60,8 @@ class Solver {
          double weight)
       : frames_(frames), tracks_(std::move(tracks)), extrinsics_(extrinsics), gravity_(gravity), weight_(weight) {}
 
-  // Solves for velocity, gravity and depths at a gyroscope bias; returns the residuals, in standard deviations.
+  // Solves for velocity, gravity and depths at a gyroscope bias; returns the residuals, in standard deviations. They
+  // are divided by the depth found: in metres, a scene shrunk onto the camera would always fit best.
   Eigen::VectorXd solve(const Eigen::Vector3d& gyro_bias) {
     integrate(gyro_bias);
     Matrix6 A = Matrix6::Zero();
@@ -102,6 +103,7 @@ class Solver {
     x << v_, g_;
     Eigen::VectorXd residuals(static_cast<Eigen::Index>(2 * rows_.size()));
     size_t first = 0;
+    double relative_depth = 1e-9;
     for (Track& track : tracks_) {
       const size_t count = track.frames.size() - 1;
       double dd = 1e-12, db = 0;
@@ -114,9 +116,15 @@ class Solver {
         residuals.segment<2>(static_cast<Eigen::Index>(2 * k)) =
             rows_[k].M * x + rows_[k].d * track.depth - rows_[k].rhs;
       }
+      relative_depth += std::abs(track.depth) * track.scale / static_cast<double>(tracks_.size());
       first += count;
     }
-    return residuals;
+    return residuals / relative_depth;
+  }
+
+  // Integrates the IMU again about a bias; in between, the first-order correction does.
+  void integrate_about(const Eigen::Vector3d& gyro_bias) {
+    for (size_t k = 1; k < frames_.size(); ++k) frames_[k]->imu->repropagate(Eigen::Vector3d::Zero(), gyro_bias);
   }
 
   // Weighs each track by its depth, which makes the residuals angles, and leaves out those that do not fit.
@@ -155,14 +163,13 @@ class Solver {
   void integrate(const Eigen::Vector3d& gyro_bias) {
     inertial_.assign(frames_.size(), {});
     for (size_t k = 1; k < frames_.size(); ++k) {
-      Preintegration& pre = *frames_[k]->imu;
-      if ((gyro_bias - pre.gyro_bias()).norm() > 1e-12) pre.repropagate(Eigen::Vector3d::Zero(), gyro_bias);
+      const Preintegration& pre = *frames_[k]->imu;
       const Inertial& from = inertial_[k - 1];
       Inertial& to = inertial_[k];
       to.t = from.t + pre.duration();
-      to.alpha = from.alpha + from.beta * pre.duration() + from.R * pre.alpha();
-      to.beta = from.beta + from.R * pre.beta();
-      to.R = from.R * pre.gamma().toRotationMatrix();
+      to.alpha = from.alpha + from.beta * pre.duration() + from.R * pre.corrected_alpha(Eigen::Vector3d::Zero(), gyro_bias);
+      to.beta = from.beta + from.R * pre.corrected_beta(Eigen::Vector3d::Zero(), gyro_bias);
+      to.R = from.R * pre.corrected_gamma(gyro_bias).toRotationMatrix();
     }
   }
 
@@ -241,9 +248,11 @@ LinearStart solve_linear_start(const std::vector<Frame*>& frames, std::map<int64
     return result;
   }
   Solver solver(frames, std::move(tracks), extrinsics, gravity, weight);
+  solver.integrate_about(gyro_bias);
   // Two rounds: the first with all depths taken as equal, the second with what it found.
   Eigen::Vector3d bias = refine_gyro_bias(solver, gyro_bias, gyro_bias, gyro_bias_sigma, 6);
   for (int round = 0; round < 2; ++round) {
+    solver.integrate_about(bias);
     solver.reweigh(solver.solve(bias));
     if (solver.tracks().size() < 15) {
       result.reason = "the tracks do not agree";

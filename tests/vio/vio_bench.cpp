@@ -40,6 +40,7 @@ struct Result {
   std::vector<VioOutput> outputs;
   std::vector<double> ms;
   std::map<int64_t, Pose> truth;
+  std::map<int64_t, double> height;  // m above the surface
   std::map<std::string, double> counters;
 };
 
@@ -62,7 +63,8 @@ void run_pending(Vio& vio, Result& result, bool verbose) {
   }
 }
 
-Result run_log(const std::filesystem::path& file, const VioSetup& setup, double duration, bool verbose) {
+Result run_log(const std::filesystem::path& file, const VioSetup& setup, double duration, bool verbose,
+               double begin = 0) {
   Vio vio(setup.options, setup.camera, setup.extrinsics);
   Result result;
   LogReader reader(file);
@@ -70,7 +72,9 @@ Result run_log(const std::filesystem::path& file, const VioSetup& setup, double 
   int64_t first = 0;
   while (const auto event = reader.next()) {
     if (first == 0) first = event->utime;
-    if (1e-6 * static_cast<double>(event->utime - first) > duration) break;
+    const double age = 1e-6 * static_cast<double>(event->utime - first) - begin;
+    if (age > duration) break;
+    if (age < 0) continue;
     if (event->channel == channel::kImu) {
       if (const auto imu = event->decode<imu_t>()) {
         ImuSample sample;
@@ -90,6 +94,7 @@ Result run_log(const std::filesystem::path& file, const VioSetup& setup, double 
         if (!frame) frame.emplace(position);
         const double* q = truth->q_ENU_B;
         result.truth[truth->utime] = {frame->to_enu(position), {q[0], q[1], q[2], q[3]}};
+        result.height[truth->utime] = truth->height_above_ground;
       }
     }
     run_pending(vio, result, verbose);
@@ -255,6 +260,45 @@ void report(const std::string& name, const Result& result, const std::filesystem
   }
 }
 
+// How a session starts at many moments of a flight: time to the first state, and how far its height (that is, its
+// scale) is from the truth, then and five seconds later.
+void report_starts(const std::filesystem::path& file, const VioSetup& setup, int starts, double last) {
+  std::vector<double> times, errors, later;
+  int failed = 0;
+  for (int n = 0; n < starts; ++n) {
+    const double begin = last * n / starts;
+    const Result result = run_log(file, setup, 25, false, begin);
+    double time = -1, error = 0, after = 0;
+    int64_t start = 0;
+    for (const VioOutput& output : result.outputs) {
+      if (output.status == Estimator::Status::kInitialising) continue;
+      const auto height = result.height.lower_bound(output.utime);
+      if (height == result.height.end()) break;
+      const double off = output.height_above_ground / height->second - 1;
+      if (start == 0) {
+        start = output.utime;
+        time = 1e-6 * static_cast<double>(start - result.outputs.front().utime);
+        error = off;
+      }
+      after = off;
+      if (output.utime > start + 5000000) break;
+    }
+    std::printf("start at %.1f s: took %.1f s, height off by %.1f %%, five seconds later %.1f %%, sessions %d%s\n", begin,
+                time, 100 * error, 100 * after, result.outputs.back().session,
+                time < 0 ? ("  " + result.outputs.back().reason).c_str() : "");
+    if (time < 0) {
+      ++failed;
+      continue;
+    }
+    times.push_back(time);
+    errors.push_back(std::abs(error));
+    later.push_back(std::abs(after));
+  }
+  std::printf("%d starts, %d failed; time median %.1f p90 %.1f s; scale error median %.1f %% p90 %.1f %%, later median %.1f %% p90 %.1f %%\n",
+              starts, failed, median(times), quantile(times, 0.9), 100 * median(errors), 100 * quantile(errors, 0.9),
+              100 * median(later), 100 * quantile(later, 0.9));
+}
+
 }  // namespace
 }  // namespace orthonav::vio
 
@@ -264,7 +308,10 @@ int main(int argc, char** argv) {
   std::filesystem::path config, dump;
   std::vector<std::filesystem::path> inputs;
   bool asl = false, verbose = false;
-  double duration = 1e9;
+  double duration = 1e9, starts_until = 90;
+  int starts = 0;
+  app.add_option("--starts", starts, "instead, start at this many moments of a flight log");
+  app.add_option("--starts-until", starts_until, "the last of these moments, s");
   app.add_option("--config", config, "configuration folder")->required();
   app.add_flag("--asl", asl, "the inputs are EuRoC/ASL folders");
   app.add_flag("-v,--verbose", verbose, "a line per keyframe");
@@ -276,6 +323,10 @@ int main(int argc, char** argv) {
   try {
     const vio::VioSetup setup = vio::load_setup(config);
     for (const auto& input : inputs) {
+      if (starts > 0) {
+        vio::report_starts(input, setup, starts, starts_until);
+        continue;
+      }
       const vio::Result result = asl ? vio::run_asl(input, setup.options, duration, verbose)
                                      : vio::run_log(input, setup, duration, verbose);
       vio::report(input.filename().string(), result, dump);
