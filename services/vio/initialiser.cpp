@@ -12,14 +12,17 @@
 namespace orthonav::vio {
 namespace {
 
-using Vector6 = Eigen::Matrix<double, 6, 1>;
-using Matrix6 = Eigen::Matrix<double, 6, 6>;
+// Unknowns besides the depths: velocity, accelerometer bias, gravity.
+using Vector9 = Eigen::Matrix<double, 9, 1>;
+using Matrix9 = Eigen::Matrix<double, 9, 9>;
 
 // What the IMU alone says of a frame, in B of the first one.
 struct Inertial {
   double t = 0;  // s
   Eigen::Matrix3d R = Eigen::Matrix3d::Identity();
   Eigen::Vector3d alpha = Eigen::Vector3d::Zero(), beta = Eigen::Vector3d::Zero();
+  // Derivatives of alpha and beta with respect to the accelerometer bias.
+  Eigen::Matrix3d alpha_ba = Eigen::Matrix3d::Zero(), beta_ba = Eigen::Matrix3d::Zero();
 };
 
 struct Track {
@@ -57,20 +60,28 @@ Eigen::Vector3d minimise_on_sphere(const Eigen::Matrix3d& G, const Eigen::Vector
 class Solver {
  public:
   Solver(const std::vector<Frame*>& frames, std::vector<Track> tracks, const Extrinsics& extrinsics, double gravity,
-         double weight)
-      : frames_(frames), tracks_(std::move(tracks)), extrinsics_(extrinsics), gravity_(gravity), weight_(weight) {}
+         double weight, double accel_bias_sigma)
+      : frames_(frames),
+        tracks_(std::move(tracks)),
+        extrinsics_(extrinsics),
+        gravity_(gravity),
+        weight_(weight),
+        accel_bias_sigma_(accel_bias_sigma) {}
 
   // Solves for velocity, gravity and depths at a gyroscope bias; returns the residuals, in standard deviations. They
   // are divided by the depth found: in metres, a scene shrunk onto the camera would always fit best.
   Eigen::VectorXd solve(const Eigen::Vector3d& gyro_bias) {
     integrate(gyro_bias);
-    Matrix6 A = Matrix6::Zero();
-    Vector6 b = Vector6::Zero();
+    Matrix9 A = Matrix9::Zero();
+    Vector9 b = Vector9::Zero();
+    // Until the depths are known, residuals are metres and no prior can be weighed against them: no bias then.
+    const double prior = 1.0 / (depths_known_ ? accel_bias_sigma_ : 1e-9);
+    A.diagonal().segment<3>(3).setConstant(prior * prior);
     rows_.clear();
     for (const Track& track : tracks_) {
       const Inertial& anchor = inertial_[track.frames[0]];
       const Eigen::Vector3d ray = anchor.R * extrinsics_.R_B_C * track.landmark->anchor().ray;
-      Vector6 m_d = Vector6::Zero();
+      Vector9 m_d = Vector9::Zero();
       double dd = 0, db = 0;
       for (size_t k = 1; k < track.frames.size(); ++k) {
         const Inertial& other = inertial_[track.frames[k]];
@@ -79,6 +90,7 @@ class Solver {
         const Eigen::Matrix<double, 2, 3> N = weight_ * track.scale * across(bearing);
         Row row;
         row.M.leftCols<3>() = (anchor.t - other.t) * N;
+        row.M.middleCols<3>(3) = N * (anchor.alpha_ba - other.alpha_ba);
         row.M.rightCols<3>() = 0.5 * (anchor.t * anchor.t - other.t * other.t) * N;
         row.d = N * ray;
         row.rhs = -N * (anchor.alpha - other.alpha + (anchor.R - other.R) * extrinsics_.p_B_C);
@@ -93,14 +105,17 @@ class Solver {
       A -= m_d * m_d.transpose() / dd;
       b -= m_d * db / dd;
     }
-    const Eigen::Matrix3d A_vv = A.topLeftCorner<3, 3>(), A_vg = A.topRightCorner<3, 3>();
-    const Eigen::LDLT<Eigen::Matrix3d> ldlt(A_vv + 1e-9 * A_vv.trace() * Eigen::Matrix3d::Identity());
-    const Eigen::Matrix3d G = A.bottomRightCorner<3, 3>() - A_vg.transpose() * ldlt.solve(A_vg);
-    const Eigen::Vector3d h = b.tail<3>() - A_vg.transpose() * ldlt.solve(b.head<3>());
+    const Eigen::Matrix<double, 6, 6> A_mm = A.topLeftCorner<6, 6>();
+    const Eigen::Matrix<double, 6, 3> A_mg = A.topRightCorner<6, 3>();
+    const Eigen::LDLT<Eigen::Matrix<double, 6, 6>> ldlt(A_mm);
+    const Eigen::Matrix3d G = A.bottomRightCorner<3, 3>() - A_mg.transpose() * ldlt.solve(A_mg);
+    const Eigen::Vector3d h = b.tail<3>() - A_mg.transpose() * ldlt.solve(b.head<6>());
     g_ = minimise_on_sphere(0.5 * (G + G.transpose()), h, gravity_);
-    v_ = ldlt.solve(b.head<3>() - A_vg * g_);
-    Vector6 x;
-    x << v_, g_;
+    const Eigen::Matrix<double, 6, 1> m = ldlt.solve(b.head<6>() - A_mg * g_);
+    v_ = m.head<3>();
+    ba_ = m.tail<3>();
+    Vector9 x;
+    x << m, g_;
     Eigen::VectorXd residuals(static_cast<Eigen::Index>(2 * rows_.size()));
     size_t first = 0;
     double relative_depth = 1e-9;
@@ -147,16 +162,18 @@ class Solver {
       kept.back().scale = 1.0 / std::clamp(tracks_[i].depth, 0.2 * typical, 5.0 * typical);
     }
     tracks_ = std::move(kept);
+    depths_known_ = true;
   }
 
   const std::vector<Track>& tracks() const { return tracks_; }
   const std::vector<Inertial>& inertial() const { return inertial_; }
   const Eigen::Vector3d& v() const { return v_; }
+  const Eigen::Vector3d& accel_bias() const { return ba_; }
   const Eigen::Vector3d& g() const { return g_; }
 
  private:
   struct Row {
-    Eigen::Matrix<double, 2, 6> M;
+    Eigen::Matrix<double, 2, 9> M;
     Eigen::Vector2d d, rhs;
   };
 
@@ -169,6 +186,8 @@ class Solver {
       to.t = from.t + pre.duration();
       to.alpha = from.alpha + from.beta * pre.duration() + from.R * pre.corrected_alpha(Eigen::Vector3d::Zero(), gyro_bias);
       to.beta = from.beta + from.R * pre.corrected_beta(Eigen::Vector3d::Zero(), gyro_bias);
+      to.alpha_ba = from.alpha_ba + from.beta_ba * pre.duration() + from.R * pre.jacobian().block<3, 3>(0, 9);
+      to.beta_ba = from.beta_ba + from.R * pre.jacobian().block<3, 3>(6, 9);
       to.R = from.R * pre.corrected_gamma(gyro_bias).toRotationMatrix();
     }
   }
@@ -176,10 +195,11 @@ class Solver {
   const std::vector<Frame*>& frames_;
   std::vector<Track> tracks_;
   const Extrinsics& extrinsics_;
-  double gravity_, weight_;
+  double gravity_, weight_, accel_bias_sigma_;
+  bool depths_known_ = false;
   std::vector<Inertial> inertial_;
   std::vector<Row> rows_;
-  Eigen::Vector3d v_ = Eigen::Vector3d::Zero(), g_ = Eigen::Vector3d::Zero();
+  Eigen::Vector3d v_ = Eigen::Vector3d::Zero(), ba_ = Eigen::Vector3d::Zero(), g_ = Eigen::Vector3d::Zero();
 };
 
 // Gauss-Newton with damping over the gyroscope bias, whose prior counts as three more residuals.
@@ -230,7 +250,7 @@ Eigen::Vector3d refine_gyro_bias(Solver& solver, const Eigen::Vector3d& start, c
 
 LinearStart solve_linear_start(const std::vector<Frame*>& frames, std::map<int64_t, Landmark>& landmarks,
                                const Extrinsics& extrinsics, double gravity, const Eigen::Vector3d& gyro_bias,
-                               double gyro_bias_sigma, double weight, double pixel_sigma) {
+                               double gyro_bias_sigma, double accel_bias_sigma, double weight, double pixel_sigma) {
   LinearStart result;
   std::vector<Track> tracks;
   for (auto& [id, landmark] : landmarks) {
@@ -247,7 +267,7 @@ LinearStart solve_linear_start(const std::vector<Frame*>& frames, std::map<int64
     result.reason = "too few features tracked";
     return result;
   }
-  Solver solver(frames, std::move(tracks), extrinsics, gravity, weight);
+  Solver solver(frames, std::move(tracks), extrinsics, gravity, weight, accel_bias_sigma);
   solver.integrate_about(gyro_bias);
   // Two rounds: the first with all depths taken as equal, the second with what it found.
   Eigen::Vector3d bias = refine_gyro_bias(solver, gyro_bias, gyro_bias, gyro_bias_sigma, 6);
@@ -279,10 +299,12 @@ LinearStart solve_linear_start(const std::vector<Frame*>& frames, std::map<int64
   for (size_t k = 0; k < frames.size(); ++k) {
     const Inertial& inertial = solver.inertial()[k];
     StateValues& state = frames[k]->state;
-    state.p() = q_W_B0 * (solver.v() * inertial.t + 0.5 * inertial.t * inertial.t * solver.g() + inertial.alpha);
-    state.v() = q_W_B0 * (solver.v() + inertial.t * solver.g() + inertial.beta);
+    const Eigen::Vector3d& ba = solver.accel_bias();
+    state.p() = q_W_B0 * (solver.v() * inertial.t + 0.5 * inertial.t * inertial.t * solver.g() + inertial.alpha +
+                          inertial.alpha_ba * ba);
+    state.v() = q_W_B0 * (solver.v() + inertial.t * solver.g() + inertial.beta + inertial.beta_ba * ba);
     state.q() = q_W_B0 * Eigen::Quaterniond(inertial.R);
-    state.ba().setZero();
+    state.ba() = ba;
     state.bg() = bias;
   }
   for (auto& [id, landmark] : landmarks) landmark.has_depth = false;
