@@ -176,6 +176,12 @@ TEST(HeightField, RefusesSurfacesThatItCannotShow) {
   EXPECT_THROW(HeightField{surface}, std::invalid_argument);
 }
 
+TEST(HeightField, LeavesBlackOutOfTheMeanLuminance) {
+  Surface surface = plain([](double, double) { return 0.0; }, 90);
+  surface.luminance(cv::Rect(0, 0, 1200, 2000)).setTo(0);
+  EXPECT_NEAR(HeightField(surface).mean_luminance(), 90, 1);
+}
+
 CameraEffectOptions no_effects() {
   CameraEffectOptions o;
   o.exposure_ms = o.gain_stddev = o.vignetting = o.shot_noise = o.read_noise = 0;

@@ -78,10 +78,9 @@ double HeightField::smooth_height(const Eigen::Vector2d& p_en, double width) con
   return levels_[i].height_at(static_cast<float>(pixel.x()), static_cast<float>(pixel.y()));
 }
 
-bool HeightField::contains(const Eigen::Vector2d& p_en) const {
-  const Eigen::Vector2d pixel = to_pixel(p_en, levels_.front());
-  return pixel.x() >= -0.5 && pixel.y() >= -0.5 && pixel.x() <= levels_.front().height.cols - 0.5 &&
-         pixel.y() <= levels_.front().height.rows - 0.5;
+double HeightField::mean_luminance() const {
+  const cv::Mat& luminance = levels_[std::min<size_t>(3, levels_.size() - 1)].luminance;
+  return cv::mean(luminance, luminance > 0)[0];
 }
 
 }  // namespace orthonav::simulate

@@ -46,7 +46,8 @@ class HeightField {
   const std::vector<Level>& levels() const { return levels_; }
   double resolution() const { return levels_.front().resolution; }
   Range range() const { return range_; }
-  double mean_luminance() const { return cv::mean(levels_.back().luminance)[0]; }
+  // Mean over what is not black: a world made of a photograph is black where it has no picture.
+  double mean_luminance() const;
 
   // Height, m in G, of the surface at a point (east, north) of G; and averaged over about `width` m around it.
   double height(const Eigen::Vector2d& p_en) const;
@@ -56,7 +57,6 @@ class HeightField {
   Eigen::Vector2d to_pixel(const Eigen::Vector2d& p_en, const Level& level) const {
     return {(p_en.x() - east_min_) / level.resolution - 0.5, (north_max_ - p_en.y()) / level.resolution - 0.5};
   }
-  bool contains(const Eigen::Vector2d& p_en) const;
 
  private:
   double east_min_, north_max_;
