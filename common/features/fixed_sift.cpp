@@ -40,8 +40,8 @@ DetectedSift detect_sift(const cv::Mat& grey) {
   if (grey.empty() || grey.type() != CV_8UC1) throw std::invalid_argument("detect_sift wants an 8-bit grey image");
   std::vector<cv::KeyPoint> keypoints;
   DetectedSift result;
-  cv::SIFT::create(0, 3, 0.04, 10, kBaseSigma, CV_8U)->detectAndCompute(grey, cv::noArray(), keypoints,
-                                                                        result.descriptors);
+  cv::SIFT::create(0, 3, 0.04, 10, kBaseSigma, CV_8U)
+      ->detectAndCompute(grey, cv::noArray(), keypoints, result.descriptors);
   for (const cv::KeyPoint& keypoint : keypoints) result.points.push_back(keypoint.pt);
   return result;
 }

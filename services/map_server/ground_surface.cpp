@@ -26,8 +26,7 @@ GroundSurface::GroundSurface(const std::filesystem::path& model, const std::vect
   const std::string no_data = model.string() + ": the elevation model has no data in the map's area";
   if (!(low < high).all()) throw std::runtime_error(no_data);
   corner_ = cv::Point(static_cast<int>(low.x()), static_cast<int>(low.y()));
-  heights_ = model_->read_float(
-      cv::Rect(corner_, cv::Point(static_cast<int>(high.x()), static_cast<int>(high.y()))));
+  heights_ = model_->read_float(cv::Rect(corner_, cv::Point(static_cast<int>(high.x()), static_cast<int>(high.y()))));
   std::vector<double> known;
   for (int v = 0; v < heights_.rows; ++v) {
     for (int u = 0; u < heights_.cols; ++u) {

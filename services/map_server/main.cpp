@@ -7,8 +7,9 @@ int main(int argc, char** argv) {
   return orthonav::service_main(
       argc, argv, "map_server", "Serves the map's feature database over LCM.",
       [&](CLI::App& app) {
-        app.add_option("--map", map, "orthophoto (any raster GDAL reads) or database (.onmap), instead of the "
-                                     "configuration's `file`")
+        app.add_option("--map", map,
+                       "orthophoto (any raster GDAL reads) or database (.onmap), instead of the "
+                       "configuration's `file`")
             ->check(CLI::ExistingFile);
       },
       [&](orthonav::Node& node, const std::filesystem::path& config) {

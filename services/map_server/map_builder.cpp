@@ -58,8 +58,8 @@ void along_outline(const Raster& raster, const std::function<void(const Geodetic
   for (int i = 0; i <= kSteps; ++i) {
     const double u = -0.5 + (right + 0.5) * i / kSteps;
     const double v = -0.5 + (bottom + 0.5) * i / kSteps;
-    for (const Eigen::Vector2d& pixel : {Eigen::Vector2d(u, -0.5), Eigen::Vector2d(u, bottom),
-                                         Eigen::Vector2d(-0.5, v), Eigen::Vector2d(right, v)}) {
+    for (const Eigen::Vector2d& pixel :
+         {Eigen::Vector2d(u, -0.5), Eigen::Vector2d(u, bottom), Eigen::Vector2d(-0.5, v), Eigen::Vector2d(right, v)}) {
       visit(raster.pixel_to_geodetic(pixel));
     }
   }
@@ -224,8 +224,7 @@ class BlockBuilder {
   }
 
   // Points of the grid in these tiles that have enough data around them.
-  std::vector<cv::Point2f> interest_points(const Block& block, const cv::Rect& tiles,
-                                           BlockFeatures& result) const {
+  std::vector<cv::Point2f> interest_points(const Block& block, const cv::Rect& tiles, BlockFeatures& result) const {
     cv::Mat invalid;
     cv::integral(block.valid == 0, invalid, CV_32S);
     const int half = static_cast<int>(std::lround(3 * options_.keypoint_size));
@@ -279,9 +278,9 @@ std::optional<std::filesystem::path> elevation_model(const std::filesystem::path
 
 std::string build_fingerprint(const std::filesystem::path& raster, const BuildOptions& options) {
   Checksum checksum;
-  checksum.add(fmt::format("onmap 1 {} {} {} {} {} {} {}", static_cast<int>(options.features),
-                           options.keypoint_stride, options.keypoint_size, options.metres_per_pixel,
-                           options.tile_size_m, options.max_invalid_fraction, options.ground_height_m));
+  checksum.add(fmt::format("onmap 1 {} {} {} {} {} {} {}", static_cast<int>(options.features), options.keypoint_stride,
+                           options.keypoint_size, options.metres_per_pixel, options.tile_size_m,
+                           options.max_invalid_fraction, options.ground_height_m));
   add_file(checksum, raster);
   if (const auto model = elevation_model(raster, options)) {
     checksum.add("elevation");
@@ -327,9 +326,8 @@ BuildResult build_map(const std::filesystem::path& raster, const BuildOptions& o
     const int row = static_cast<int>(i / blocks_across) * group;
     const int column = static_cast<int>(i % blocks_across) * group;
     const cv::Rect tiles(column, row, std::min(group, columns - column), std::min(group, rows - row));
-    working.push_back(std::async(std::launch::async, [&builder = *builders[i % builders.size()], tiles] {
-      return builder.build_block(tiles);
-    }));
+    working.push_back(std::async(
+        std::launch::async, [&builder = *builders[i % builders.size()], tiles] { return builder.build_block(tiles); }));
   }
   while (!working.empty()) write_next();
   if (writer.num_features() == 0) {

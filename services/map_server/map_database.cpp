@@ -1,10 +1,5 @@
 #include "services/map_server/map_database.h"
 
-#include <fcntl.h>
-#include <sys/mman.h>
-#include <sys/stat.h>
-#include <unistd.h>
-
 #include <algorithm>
 #include <array>
 #include <bit>
@@ -15,7 +10,11 @@
 #include <random>
 #include <system_error>
 
+#include <fcntl.h>
 #include <fmt/format.h>
+#include <sys/mman.h>
+#include <sys/stat.h>
+#include <unistd.h>
 
 namespace orthonav::map_server {
 namespace {
@@ -61,7 +60,9 @@ uint64_t checksum_of(const void* data, size_t size) {
   return checksum.value();
 }
 
-uint64_t header_checksum(const Header& header) { return checksum_of(&header, offsetof(Header, header_checksum)); }
+uint64_t header_checksum(const Header& header) {
+  return checksum_of(&header, offsetof(Header, header_checksum));
+}
 
 [[noreturn]] void damaged(const std::filesystem::path& file, const std::string& what) {
   throw MapDatabaseError(
@@ -95,8 +96,8 @@ int MapDescription::tile_of(double east, double north) const {
 MapDatabase::MapDatabase(const std::filesystem::path& file) : file_(file) {
   const int descriptor = ::open(file.c_str(), O_RDONLY | O_CLOEXEC);
   if (descriptor < 0) {
-    throw MapDatabaseError(fmt::format("cannot open map database {}: {}", file.string(),
-                                       std::generic_category().message(errno)));
+    throw MapDatabaseError(
+        fmt::format("cannot open map database {}: {}", file.string(), std::generic_category().message(errno)));
   }
   struct stat status {};
   const bool known = ::fstat(descriptor, &status) == 0;
@@ -108,8 +109,8 @@ MapDatabase::MapDatabase(const std::filesystem::path& file) : file_(file) {
   void* mapped = ::mmap(nullptr, size_, PROT_READ, MAP_PRIVATE, descriptor, 0);
   ::close(descriptor);
   if (mapped == MAP_FAILED) {  // NOLINT(performance-no-int-to-ptr)
-    throw MapDatabaseError(fmt::format("cannot map {} into memory: {}", file.string(),
-                                       std::generic_category().message(errno)));
+    throw MapDatabaseError(
+        fmt::format("cannot map {} into memory: {}", file.string(), std::generic_category().message(errno)));
   }
   data_ = static_cast<const std::byte*>(mapped);
   try {
@@ -192,16 +193,16 @@ MapDatabaseWriter::MapDatabaseWriter(const std::filesystem::path& file, const Ma
     : file_(file), description_(description), index_(static_cast<size_t>(description.num_tiles())) {
   if (description.fingerprint.size() != 16) throw std::logic_error("a fingerprint has 16 digits");
   if (static_cast<int64_t>(description.tile_columns) * description.tile_rows > kMaxTiles) {
-    throw MapDatabaseError(fmt::format("{} x {} tiles are too many: raise tile_size_m", description.tile_columns,
-                                       description.tile_rows));
+    throw MapDatabaseError(
+        fmt::format("{} x {} tiles are too many: raise tile_size_m", description.tile_columns, description.tile_rows));
   }
   description_.num_features = 0;
   // Two programs may build the same file at once: each under a name of its own, and the last rename wins.
   unfinished_ = file.string() + fmt::format(".{:08x}.unfinished", std::random_device{}());
   out_.open(unfinished_, std::ios::binary | std::ios::trunc);
   if (!out_) {
-    throw MapDatabaseError(fmt::format("cannot create map database {}: {}", file.string(),
-                                       std::generic_category().message(errno)));
+    throw MapDatabaseError(
+        fmt::format("cannot create map database {}: {}", file.string(), std::generic_category().message(errno)));
   }
   end_ = sizeof(Header) + index_.size() * sizeof(IndexEntry);
   const std::vector<char> room(static_cast<size_t>(end_), 0);
@@ -223,10 +224,9 @@ void MapDatabaseWriter::write_tile(int index, const TileFeatures& features) {
   }
   std::vector<char> block(features.positions.size() * kFeatureBytes);
   const size_t position_bytes = features.positions.size() * sizeof(Eigen::Vector3f);
-  if (!block.empty()) {
-    std::memcpy(block.data(), features.positions.data(), position_bytes);
-    std::memcpy(block.data() + position_bytes, features.descriptors.data(), features.descriptors.size());
-  }
+  std::copy_n(reinterpret_cast<const char*>(features.positions.data()), position_bytes, block.data());
+  std::copy(features.descriptors.begin(), features.descriptors.end(),
+            block.begin() + static_cast<std::ptrdiff_t>(position_bytes));
   entry = {end_, features.positions.size(), checksum_of(block.data(), block.size())};
   out_.write(block.data(), static_cast<std::streamsize>(block.size()));
   end_ += block.size();

@@ -31,7 +31,8 @@ MapServerService::MapServerService(Node& node, const std::filesystem::path& conf
     : node_(node), options_(ServerOptions::from_config(config_folder)) {
   const std::filesystem::path& file = map.empty() ? options_.file : map;
   if (file.empty()) {
-    throw ConfigError(fmt::format("{}: no map: set `file` or give --map", (config_folder / "map_server.yaml").string()));
+    throw ConfigError(
+        fmt::format("{}: no map: set `file` or give --map", (config_folder / "map_server.yaml").string()));
   }
   int reported = -1;
   database_ = std::make_unique<MapDatabase>(prepare_map(file, options_.build, [&](double done) {

@@ -15,12 +15,12 @@ enum class FeatureKind {
 
 struct BuildOptions {
   FeatureKind features = FeatureKind::kGrid;
-  double keypoint_stride = 10;  // map pixels between interest points
-  double keypoint_size = 8;     // map pixels, see FixedSift
-  double metres_per_pixel = 0;  // sigma; 0: the raster's own, at its centre
-  double tile_size_m = 45;      // side of a tile
+  double keypoint_stride = 10;         // map pixels between interest points
+  double keypoint_size = 12;           // map pixels, see FixedSift
+  double metres_per_pixel = 0;         // sigma; 0: the raster's own, at its centre
+  double tile_size_m = 45;             // side of a tile
   double max_invalid_fraction = 0.25;  // of a descriptor's square; above, the point is left out
-  double ground_height_m = 0;   // above the ellipsoid: height of the flat ground where there is no elevation model
+  double ground_height_m = 0;  // above the ellipsoid: height of the flat ground where there is no elevation model
   // Elevation model, any raster of ellipsoidal ground heights: "none", "auto" (the raster's name with .dem.tif for
   // its ending, when there is such a file beside it) or a file.
   std::string dem = "auto";

@@ -16,8 +16,8 @@ struct MatcherOptions {
 };
 
 struct DescriptorMatch {
-  int query = -1;     // row of the query
-  int map = -1;       // row of the map
+  int query = -1;      // row of the query
+  int map = -1;        // row of the map
   float distance = 0;  // Euclidean
 };
 

@@ -17,7 +17,7 @@ struct CameraPose {
 struct PnpResult {
   CameraPose pose;
   Eigen::Matrix3d position_covariance = Eigen::Matrix3d::Zero();  // m^2, of p_G_C, first order from the residuals
-  double rms = 0;  // pixels
+  double rms = 0;                                                 // pixels
 };
 
 // PnP by iterative minimisation of the reprojection error (OpenCV's Levenberg-Marquardt), started at `guess`.

@@ -91,8 +91,7 @@ std::string reason_to_refuse(const Keyframe& keyframe, const cv::Mat& image, con
   if (!std::isfinite(true_heading)) return "heading is not a number";
   if (image.empty() || image.type() != CV_8UC1) return "no grey image";
   if (image.cols != camera.width() || image.rows != camera.height()) {
-    return fmt::format("image is {} x {}, the camera {} x {}", image.cols, image.rows, camera.width(),
-                       camera.height());
+    return fmt::format("image is {} x {}, the camera {} x {}", image.cols, image.rows, camera.width(), camera.height());
   }
   return {};
 }
@@ -137,9 +136,8 @@ ImageSimilarity view_similarity(const CameraModel& camera, const Eigen::Matrix3d
   for (int i = 0; i <= kSteps; ++i) {
     const double u = (camera.width() - 1.0) * i / kSteps;
     const double v = (camera.height() - 1.0) * i / kSteps;
-    for (const Eigen::Vector2d& pixel :
-         {Eigen::Vector2d(u, 0), Eigen::Vector2d(u, camera.height() - 1.0), Eigen::Vector2d(0, v),
-          Eigen::Vector2d(camera.width() - 1.0, v)}) {
+    for (const Eigen::Vector2d& pixel : {Eigen::Vector2d(u, 0), Eigen::Vector2d(u, camera.height() - 1.0),
+                                         Eigen::Vector2d(0, v), Eigen::Vector2d(camera.width() - 1.0, v)}) {
       const auto ray = camera.unproject(pixel);
       if (!ray) continue;
       const Eigen::Vector2d corner = similarity.apply(ray->head<2>());

@@ -21,7 +21,7 @@ namespace orthonav::registration {
 struct QueryOptions {
   double max_reprojection_error = 8;  // pixels; points with more are left out
   int min_points = 20;                // a keyframe needs more than this number of points
-  double max_tilt = M_PI / 4;             // rad, of the optical axis from the vertical: beyond, one similarity cannot fit
+  double max_tilt = M_PI / 4;         // rad, of the optical axis from the vertical: beyond, one similarity cannot fit
 };
 
 // The rotation about z that takes W to G, (7): so that the body's x axis has this true heading.
@@ -31,10 +31,10 @@ Eigen::Matrix3d rotation_G_W(const Eigen::Quaterniond& q_W_B, double true_headin
 //   q = scale R(angle) (x, y) + origin.
 // Its pixels are sigma metres wide, u points east and v south.
 struct ImageSimilarity {
-  double scale = 0;  // pixels per unit: height / sigma
-  double angle = 0;  // rad
+  double scale = 0;                                  // pixels per unit: height / sigma
+  double angle = 0;                                  // rad
   Eigen::Vector2d origin = Eigen::Vector2d::Zero();  // where the optical axis falls
-  cv::Size size;     // of the turned image
+  cv::Size size;                                     // of the turned image
 
   Eigen::Vector2d apply(const Eigen::Vector2d& xy) const;
   Eigen::Vector2d invert(const Eigen::Vector2d& pixel) const;
@@ -47,9 +47,9 @@ ImageSimilarity view_similarity(const CameraModel& camera, const Eigen::Matrix3d
 
 // One queried feature, Q_k of equation (6).
 struct QueryPoint {
-  int index = -1;          // in Keyframe::points; -1: a point of the detector
-  Eigen::Vector2d ray;     // undistorted image coordinates at z = 1
-  Eigen::Vector2d pixel;   // in the turned and scaled image
+  int index = -1;         // in Keyframe::points; -1: a point of the detector
+  Eigen::Vector2d ray;    // undistorted image coordinates at z = 1
+  Eigen::Vector2d pixel;  // in the turned and scaled image
 };
 
 struct Query {

@@ -119,7 +119,7 @@ Eigen::Vector2d Registrar::vote_of(const Keyframe& keyframe, const Query& query,
   const QueryPoint& point = query.points.at(static_cast<size_t>(match.query));
   if (options_.method == Method::kPaper) {
     const Eigen::Vector3d p_G = query.R_G_W * keyframe.points.at(static_cast<size_t>(point.index)).p_W;  // (7)
-    return l - p_G.head<2>();                                                                           // (8)
+    return l - p_G.head<2>();                                                                            // (8)
   }
   const Eigen::Vector2d from_centre = geometry_.metres_per_pixel * (point.pixel - query.similarity.origin);
   return l - Eigen::Vector2d(from_centre.x(), -from_centre.y());
@@ -170,7 +170,8 @@ Fix Registrar::solve(const Keyframe& keyframe, const Query& query, const std::ve
   } else {
     place_by_image(keyframe, query, inliers, heading, scatter, fix);
   }
-  if (fix.reason.empty() && !(fix.p_G_B.allFinite() && fix.covariance.allFinite())) fix.reason = "position is not finite";
+  if (fix.reason.empty() && !(fix.p_G_B.allFinite() && fix.covariance.allFinite()))
+    fix.reason = "position is not finite";
   fix.valid = fix.reason.empty();
   return fix;
 }
@@ -220,6 +221,7 @@ void Registrar::place_by_image(const Keyframe& keyframe, const Query& query,
                                const std::vector<DescriptorMatch>& inliers, const Heading& heading,
                                const Eigen::Matrix2d& scatter, Fix& fix) const {
   std::vector<double> heights;
+  heights.reserve(inliers.size());
   for (const DescriptorMatch& match : inliers) heights.push_back(map_position(match).z());
   const Eigen::Matrix3d R_G_B = query.R_G_W * keyframe.q_W_B.toRotationMatrix();
   const Eigen::Vector3d axis = R_G_B * keyframe.extrinsics.R_B_C.col(2);
@@ -234,8 +236,7 @@ void Registrar::place_by_image(const Keyframe& keyframe, const Query& query,
 Eigen::Matrix3d Registrar::covariance(const Eigen::Vector3d& lever, const Heading& heading,
                                       const Eigen::Matrix2d& scatter, size_t num_inliers) const {
   const ErrorModel& errors = options_.errors;
-  const double observations =
-      std::max(1.0, static_cast<double>(num_inliers) / errors.matches_per_observation);
+  const double observations = std::max(1.0, static_cast<double>(num_inliers) / errors.matches_per_observation);
   Eigen::Matrix3d covariance = Eigen::Matrix3d::Zero();
   covariance.topLeftCorner<2, 2>() =
       scatter / observations + errors.map_stddev * errors.map_stddev * Eigen::Matrix2d::Identity();

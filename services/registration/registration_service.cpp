@@ -63,8 +63,7 @@ RegistrationService::RegistrationService(Node& node, const Setup& setup)
   // A fix is worth more fresh than complete: whoever is behind goes on with the newest keyframe.
   node_.subscribe<vio_keyframe_t>(channel::kVioKeyframe, Delivery::kLatest,
                                   [this](const vio_keyframe_t& keyframe) { handle(keyframe); });
-  node_.subscribe<map_info_t>(
-      channel::kMapInfo, Delivery::kLatest, [this](const map_info_t& info) { handle(info); });
+  node_.subscribe<map_info_t>(channel::kMapInfo, Delivery::kLatest, [this](const map_info_t& info) { handle(info); });
   node_.subscribe<map_tile_t>(channel::kMapTile, Delivery::kAll, [this](const map_tile_t& tile) { handle(tile); });
   node_.every(std::chrono::milliseconds(options_.request_period_ms), [this] { request_tiles(); });
   node_.every(std::chrono::seconds(1), [this] { report_state(); });
@@ -84,8 +83,9 @@ void RegistrationService::handle(const compass_t& compass) {
   node_.health().add("compass.received");
   Heading heading;
   heading.value = true_heading(compass.heading, options_.declination);
-  heading.stddev = std::isfinite(compass.heading_stddev) && compass.heading_stddev > 0 ? compass.heading_stddev
-                                                                                       : options_.default_heading_stddev;
+  heading.stddev = std::isfinite(compass.heading_stddev) && compass.heading_stddev > 0
+                       ? compass.heading_stddev
+                       : options_.default_heading_stddev;
   if (!std::isfinite(compass.heading) || !headings_.add(compass.utime, heading)) {
     node_.health().reject("compass", std::isfinite(compass.heading) ? "compass samples are out of order"
                                                                     : "compass heading is not a number");
@@ -264,8 +264,8 @@ void RegistrationService::report_state() {
   } else if (!info_) {
     health.set_state(Health::State::kStarting, "waiting for MAP_INFO: does orthonav-map-server run on this bus?");
   } else if (!registrar_.has_map()) {
-    health.set_state(Health::State::kStarting, fmt::format("fetching the map: {} of {} tiles", store_.num_complete(),
-                                                           store_.num_tiles()));
+    health.set_state(Health::State::kStarting,
+                     fmt::format("fetching the map: {} of {} tiles", store_.num_complete(), store_.num_tiles()));
   } else if (health.counter("compass.received") == 0) {
     health.set_state(Health::State::kStarting, "waiting for COMPASS");
   } else if (health.counter("camera.received") == 0) {

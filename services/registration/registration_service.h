@@ -2,11 +2,11 @@
 // seconds, registers every keyframe of the odometry and says where it is (MAP_FIX), or why it does not know.
 #pragma once
 
+#include <cmath>
 #include <deque>
 #include <filesystem>
 #include <map>
 #include <optional>
-#include <cmath>
 #include <string>
 
 #include "common/bus/node.h"
@@ -26,14 +26,14 @@ namespace orthonav::registration {
 
 struct ServiceOptions {
   RegistrarOptions registrar;
-  double declination = 0;               // rad, east positive, of aircraft.yaml
+  double declination = 0;                     // rad, east positive, of aircraft.yaml
   double default_heading_stddev = M_PI / 60;  // rad, where the compass does not say
-  double max_compass_gap = 0.3;         // s between a keyframe and the compass samples used for it
-  int image_buffer = 100;               // images kept for keyframes to come
-  int64_t max_features = 2'000'000;     // of a map
-  int max_outstanding_tiles = 64;       // asked for and not yet here
+  double max_compass_gap = 0.3;               // s between a keyframe and the compass samples used for it
+  int image_buffer = 100;                     // images kept for keyframes to come
+  int64_t max_features = 2'000'000;           // of a map
+  int max_outstanding_tiles = 64;             // asked for and not yet here
   int request_period_ms = 50;
-  int retry_ms = 1000;                  // after which a tile is asked for again
+  int retry_ms = 1000;  // after which a tile is asked for again
 };
 
 class RegistrationService : public Service {

@@ -27,7 +27,7 @@ struct TilePart {
   int tile = -1;
   int part = 0;
   int num_parts = 1;
-  std::span<const float> positions;       // east, north, up of each feature, m in G
+  std::span<const float> positions;      // east, north, up of each feature, m in G
   std::span<const uint8_t> descriptors;  // 128 of each feature
 };
 
@@ -47,8 +47,9 @@ class TileStore {
 
   Outcome add(const TilePart& part, int64_t utime);
 
-  // Tiles to ask for now, ascending: those never asked for and those asked for longer than `retry_after` microseconds ago without
-  // a part since, so many that no more than `max_outstanding` are on their way. They count as asked for at `utime`.
+  // Tiles to ask for now, ascending: those never asked for and those asked for longer than `retry_after` microseconds
+  // ago without a part since, so many that no more than `max_outstanding` are on their way. They count as asked for at
+  // `utime`.
   std::vector<int> ask(int64_t utime, int max_outstanding, int64_t retry_after);
   int64_t num_asked_again() const { return num_asked_again_; }
 

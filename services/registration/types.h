@@ -15,7 +15,7 @@ namespace orthonav::registration {
 // A corner tracked by the odometry, with the point (2) it gives it.
 struct TrackedPoint {
   int64_t id = -1;
-  Eigen::Vector2d pixel = Eigen::Vector2d::Zero();  // raw image, pixels
+  Eigen::Vector2d pixel = Eigen::Vector2d::Zero();   // raw image, pixels
   Eigen::Vector3d ray_C = Eigen::Vector3d::UnitZ();  // undistorted, z = 1
   Eigen::Vector3d p_W = Eigen::Vector3d::Zero();     // m
   double reprojection_error = 0;                     // pixels

@@ -10,9 +10,8 @@ VotingResult vote(const std::vector<Eigen::Vector2d>& votes, const VotingOptions
   if (votes.empty()) return result;
   std::vector<int> order(votes.size());
   std::iota(order.begin(), order.end(), 0);
-  std::stable_sort(order.begin(), order.end(), [&](int a, int b) {
-    return votes[static_cast<size_t>(a)].x() < votes[static_cast<size_t>(b)].x();
-  });
+  std::stable_sort(order.begin(), order.end(),
+                   [&](int a, int b) { return votes[static_cast<size_t>(a)].x() < votes[static_cast<size_t>(b)].x(); });
   const double radius = options.inlier_radius;
   std::vector<int> count(votes.size(), 1);
   for (size_t i = 0; i < order.size(); ++i) {

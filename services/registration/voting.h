@@ -19,8 +19,8 @@ struct VotingResult {
   int num_second = 0;  // inliers of the best candidate more than second_distance from the translation
 };
 
-// Exact: counts for every vote the votes within the radius, itself included; the first of the best wins. Sorted by east, so
-// that only votes within the radius in east are compared: O(n log n + pairs).
+// Exact: counts for every vote the votes within the radius, itself included; the first of the best wins. Sorted by
+// east, so that only votes within the radius in east are compared: O(n log n + pairs).
 VotingResult vote(const std::vector<Eigen::Vector2d>& votes, const VotingOptions& options);
 
 }  // namespace orthonav::registration

@@ -23,7 +23,8 @@ constexpr double kSigma = 0.3;
 // Far from the central meridian of UTM 32: grid north is 1.9 degrees from true north.
 const Geodetic kCorner{48.1, 11.5, 0};
 
-// A grid of a CRS whose first pixel has its outer corner at `corner` and whose pixels are `width` x `height` of the CRS's units.
+// A grid of a CRS whose first pixel has its outer corner at `corner` and whose pixels are `width` x `height` of the
+// CRS's units.
 RasterGrid grid_at(const std::string& crs, const Geodetic& corner, double width, double height,
                    const std::filesystem::path& scratch) {
   RasterGrid unit;
@@ -138,8 +139,7 @@ TEST_F(MapOfOneGround, HasTheSamePositionsFromUtmWebMercatorAndWgs84Within5Cm) {
         }
       }
       ASSERT_GT(used, 80) << name;
-      const double offset =
-          0.5 * kStep * (distance[0] - distance[2]) / (distance[0] - 2 * distance[1] + distance[2]);
+      const double offset = 0.5 * kStep * (distance[0] - distance[2]) / (distance[0] - 2 * distance[1] + distance[2]);
       EXPECT_LT(std::abs(offset), 0.05) << name << (north ? " north" : " east");
       EXPECT_LT(distance[1], 0.5 * distance[0]) << name;
     }
@@ -154,6 +154,7 @@ TEST_F(MapOfOneGround, HasTheSamePositionsFromUtmWebMercatorAndWgs84Within5Cm) {
 TEST_F(MapOfOneGround, PutsInterestPointsEveryTenPixelsFromTheCorner) {
   BuildOptions options;
   options.ground_height_m = 430;
+  options.keypoint_size = 8;
   // In the middle of its zone, UTM is north-up, but for its scale of 0.9996.
   RasterGrid grid;
   grid.transform[0] = 500'000;
@@ -260,10 +261,10 @@ TEST_F(MapOfOneGround, KeepsTheDatabaseBesideTheRasterUntilSomethingChanges) {
   EXPECT_EQ(file, raster.string() + ".onmap");
   EXPECT_EQ(prepare_map(raster, options, count), file);
   EXPECT_EQ(builds, 1);
-  options.keypoint_size = 12;
+  options.keypoint_size = 16;
   prepare_map(raster, options, count);
   EXPECT_EQ(builds, 2);
-  EXPECT_EQ(MapDatabase(file).description().keypoint_size, 12);
+  EXPECT_EQ(MapDatabase(file).description().keypoint_size, 16);
   std::filesystem::resize_file(file, std::filesystem::file_size(file) / 2);
   prepare_map(raster, options, count);
   EXPECT_EQ(builds, 3);

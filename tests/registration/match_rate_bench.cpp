@@ -73,9 +73,9 @@ Scene port(const std::filesystem::path& folder, int num_views) {
     Geodetic corner;
     GeographicLib::UTMUPS::Reverse(50, false, kEast, kNorth, corner.latitude_deg, corner.longitude_deg);
     const Eigen::Vector2d pixel = raster.geodetic_to_pixel(corner) + Eigen::Vector2d(0.5, 0.5);
-    const cv::Mat grey = raster.read_grey(cv::Rect(cvRound(pixel.x()), cvRound(pixel.y()),
-                                                   cvRound(kWidth / metres_per_pixel),
-                                                   cvRound(kHeight / metres_per_pixel)));
+    const cv::Mat grey =
+        raster.read_grey(cv::Rect(cvRound(pixel.x()), cvRound(pixel.y()), cvRound(kWidth / metres_per_pixel),
+                                  cvRound(kHeight / metres_per_pixel)));
     return grey;
   };
   constexpr double kCamera = 0.075, kMap = 0.3, kView = 0.1285;
@@ -206,10 +206,11 @@ void run(const Arguments& arguments) {
         if (is_near) errors.push_back(((fix.p_G_B.head<2>()) - truth).norm());
       }
     }
-    fmt::print("seed {}: within 30 m {:.1f} %, inliers of those (median) {:.0f}, of the others at most {:.0f}, accepted {}, "
-               "false {}, median error {:.2f} m\n",
-               seed, 100.0 * near / static_cast<double>(scene.views.size()), median(true_inliers),
-               quantile(false_inliers, 1.0), accepted, false_fixes, median(errors));
+    fmt::print(
+        "seed {}: within 30 m {:.1f} %, inliers of those (median) {:.0f}, of the others at most {:.0f}, accepted {}, "
+        "false {}, median error {:.2f} m\n",
+        seed, 100.0 * near / static_cast<double>(scene.views.size()), median(true_inliers),
+        quantile(false_inliers, 1.0), accepted, false_fixes, median(errors));
   }
 }
 

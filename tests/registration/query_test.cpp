@@ -93,7 +93,9 @@ class BadInput : public testing::Test {
   const double nan_ = std::numeric_limits<double>::quiet_NaN();
 };
 
-TEST_F(BadInput, IsFineToBeginWith) { EXPECT_EQ(refused(), ""); }
+TEST_F(BadInput, IsFineToBeginWith) {
+  EXPECT_EQ(refused(), "");
+}
 
 TEST_F(BadInput, TooFewPoints) {
   capture_.keyframe.points.resize(20);

@@ -57,8 +57,7 @@ class EveryMethod : public testing::TestWithParam<Method> {
  protected:
   EveryMethod() : registrar_(options_of(GetParam()), test_camera()) {
     const bool detected = GetParam() == Method::kM2;
-    registrar_.set_map(detected ? ground_.detected_features() : ground_.grid_features(8),
-                       detected ? kDetected : kGrid);
+    registrar_.set_map(detected ? ground_.detected_features() : ground_.grid_features(8), detected ? kDetected : kGrid);
   }
   SyntheticGround ground_{1};
   Registrar registrar_;

@@ -216,9 +216,9 @@ TEST_F(RegistrationOnTheBus, FetchesTheMapAndSaysWhereAKeyframeIs) {
   EXPECT_EQ(fix.total_ms, 0) << "a replay must repeat";
   EXPECT_EQ(fix.matches.size(), static_cast<size_t>(fix.num_inliers));
   const EnuFrame frame({48, 11, 500});
-  EXPECT_LT((frame.to_enu({fix.latitude_deg, fix.longitude_deg, fix.ellipsoidal_height}) - Eigen::Vector3d(fix.p_G_B))
-                .norm(),
-            1e-6);
+  EXPECT_LT(
+      (frame.to_enu({fix.latitude_deg, fix.longitude_deg, fix.ellipsoidal_height}) - Eigen::Vector3d(fix.p_G_B)).norm(),
+      1e-6);
   EXPECT_GT(fix.position_covariance[0], 0);
   pass(1);
   EXPECT_EQ(node_.health().state(), Health::State::kOk);

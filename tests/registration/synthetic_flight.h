@@ -60,7 +60,8 @@ class SyntheticGround {
 
   // What a body at p_G_B with this heading, pitch and roll (rad) sees and what its odometry knows: W is G turned and
   // moved. `scale_error` is the odometry's.
-  Capture capture(const Eigen::Vector3d& p_G_B, double heading, double pitch, double roll, double scale_error = 1) const {
+  Capture capture(const Eigen::Vector3d& p_G_B, double heading, double pitch, double roll,
+                  double scale_error = 1) const {
     const CameraModel camera = test_camera();
     Capture capture;
     capture.heading = {heading, 0.05};
@@ -77,8 +78,9 @@ class SyntheticGround {
       const Eigen::Vector3d ray = R_G_C * camera.unproject(pixel).value();
       return p_G_C - p_G_C.z() / ray.z() * ray;
     };
-    capture.image = texture_.picture({camera.width(), camera.height()},
-                                     [&](const Eigen::Vector2d& pixel) -> Eigen::Vector2d { return ground(pixel).head<2>(); });
+    capture.image =
+        texture_.picture({camera.width(), camera.height()},
+                         [&](const Eigen::Vector2d& pixel) -> Eigen::Vector2d { return ground(pixel).head<2>(); });
 
     const Eigen::Matrix3d R_W_G = Eigen::AngleAxisd(0.7, Eigen::Vector3d::UnitZ()).toRotationMatrix();
     const Eigen::Vector3d p_W_G(40, -25, 3);

@@ -1,12 +1,11 @@
 // orthonav-build-map: makes a map database (.onmap) of an orthophoto.
-#include <unistd.h>
-
 #include <chrono>
 #include <cstdio>
 #include <filesystem>
 
 #include <CLI/CLI.hpp>
 #include <fmt/format.h>
+#include <unistd.h>
 
 #include "services/map_server/map_builder.h"
 
