@@ -127,6 +127,24 @@ TEST_F(Recording, WritesTheSameFlightAsAnAslFolder) {
             std::to_string(scenario_.start_unix_s) + "000000000,");
 }
 
+TEST_F(Recording, BeginsOnTheGroundWhereItTakesOff) {
+  scenario_.flight.take_off = true;
+  const RecordingSummary summary = record("flight.lcm", 1, 2);
+  EXPECT_GT(summary.flight_seconds, scenario_.flight.duration_s + scenario_.flight.standstill_s);
+  LogReader reader(folder_ / "flight.lcm");
+  int images = 0;
+  while (const auto event = reader.next()) {
+    if (event->channel == channel::kTruth) {
+      EXPECT_LT(event->decode<truth_t>()->height_above_ground, 0.3);
+    }
+    if (event->channel == channel::kCamera) {
+      EXPECT_TRUE(decode_image(*event->decode<image_t>(), 640, 480).ok());
+      ++images;
+    }
+  }
+  EXPECT_EQ(images, 15);
+}
+
 TEST_F(Recording, SaysWhichFileCannotBeWritten) {
   RecordingOptions options{
       .log = folder_ / "no" / "such" / "folder.lcm", .asl_folder = {}, .seconds = 1, .threads = 1, .progress = {}};

@@ -1,5 +1,6 @@
 // orthonav-simulate: makes a flight's log and the map to navigate it by.
 #include <chrono>
+#include <cstdio>
 #include <exception>
 #include <string>
 #include <thread>
@@ -69,9 +70,7 @@ int simulate(const Arguments& arguments) {
   return 0;
 }
 
-}  // namespace
-
-int main(int argc, char** argv) {
+int run(int argc, char** argv) {
   CLI::App app("Simulates a flight: an LCM log of its sensors and the truth, and the map (GeoTIFF) beside it");
   Arguments arguments;
   app.add_option("--scenario", arguments.scenario, "folder with simulate.yaml and aircraft.yaml, e.g. config/rural")
@@ -90,10 +89,16 @@ int main(int argc, char** argv) {
       ->check(CLI::Range(1, 256))
       ->capture_default_str();
   CLI11_PARSE(app, argc, argv);
+  return simulate(arguments);
+}
+
+}  // namespace
+
+int main(int argc, char** argv) {
   try {
-    return simulate(arguments);
+    return run(argc, argv);
   } catch (const std::exception& error) {
-    fmt::print(stderr, "orthonav-simulate: {}\n", error.what());
+    std::fprintf(stderr, "orthonav-simulate: %s\n", error.what());
     return 1;
   }
 }
