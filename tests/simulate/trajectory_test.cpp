@@ -27,8 +27,8 @@ Trajectory rural(uint64_t seed, bool take_off = false) {
 }
 
 TEST(UniformSpline, ReproducesStraightLinesAndDifferentiatesThem) {
-  std::vector<UniformSpline<1>::Point> control;
-  for (int i = 0; i < 20; ++i) control.emplace_back(3.0 + 0.5 * i);
+  std::vector<UniformSpline<1>::Point> control(20);
+  for (size_t i = 0; i < control.size(); ++i) control[i][0] = 3.0 + 0.5 * static_cast<double>(i);
   const UniformSpline<1> line(10.0, 0.25, control);  // 3 + 2 (t - 10)
   for (const double t : {10.75, 11.0, 12.345, 13.7}) {
     EXPECT_NEAR(line.evaluate(t)[0], 3.0 + 2.0 * (t - 10.0), 1e-12);
