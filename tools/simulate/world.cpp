@@ -34,8 +34,17 @@ Epoch map_epoch(const WorldOptions& options, const Epoch& camera, const std::str
   epoch.change = options.difference.change;
   epoch.epoch_seed = mix(mix(epoch.seed, "map"), difference);
   Random random(epoch.epoch_seed);
-  epoch.day += random.uniform(epoch.change.days_min, epoch.change.days_max);
-  epoch.hour = random.uniform(epoch.change.hour_min, epoch.change.hour_max);
+  // Earlier or later: whichever leaves more of the time in which such maps are made.
+  const Difference& change = epoch.change;
+  const auto part = [&](double from, double to) {
+    return std::max(0.0, std::min(to, change.day_last) - std::max(from, change.day_first));
+  };
+  const double before = part(epoch.day - change.days_max, epoch.day - change.days_min);
+  const double after = part(epoch.day + change.days_min, epoch.day + change.days_max);
+  const double sign = random.uniform(0, before + after) < before ? -1.0 : 1.0;
+  const double shifted = epoch.day + sign * random.uniform(change.days_min, change.days_max);
+  epoch.day = std::clamp(shifted, change.day_first, change.day_last);
+  epoch.hour = random.uniform(change.hour_min, change.hour_max);
   return Epoch(epoch);
 }
 

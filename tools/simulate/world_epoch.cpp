@@ -77,8 +77,6 @@ Sun sun_at(double latitude_deg, double day, double hour) {
 Epoch::Epoch(const EpochOptions& options)
     : options_(options), sun_(sun_at(options.latitude_deg, options.day, options.hour)) {
   options_.day = year_day(options.day);
-  // Nobody flies for a map, or without light, in the last of the evening: shadows would fill everything.
-  sun_.elevation = std::max(sun_.elevation, 18.0 * kPi / 180);
 }
 
 bool Epoch::changed(uint64_t id, const char* what, double probability) const {
@@ -328,7 +326,7 @@ Material Epoch::roof(const Building& building) const {
   const cv::Vec3f base = building.hall || building.roof == Roof::kFlat
                              ? kSheets[static_cast<size_t>(colour * kSheets.size())]
                              : kTiles[static_cast<size_t>(colour * kTiles.size())];
-  Material m = plain(base * 0.92F, base * 1.08F, 0.2, 0, 0.05, 0.03);
+  Material m = plain(base * 0.92F, base * 1.08F, 0.1, 0, 0.05, 0.03);
   m.rows = building.hall ? 0.05F : 0.06F;
   m.row_period = building.hall ? 1.1F : 0.4F;
   m.row_angle = static_cast<float>(building.angle + (building.hall ? kPi / 2 : 0));

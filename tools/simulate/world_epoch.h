@@ -40,7 +40,8 @@ Sun sun_at(double latitude_deg, double day, double hour);
 
 // Levels of change between the camera's epoch and the map's; probabilities per object unless said otherwise.
 struct Difference {
-  double days_min = 60, days_max = 120;    // the map is this much later in the year, modulo a year
+  double days_min = 60, days_max = 120;    // the map's day of the year is off by this much, to either side
+  double day_first = 75, day_last = 290;   // the time of the year in which such maps are made
   double hour_min = 8.5, hour_max = 16.5;  // local solar time of the map's flight
   double pattern_change = 0.4;             // share of the variance of soil and vegetation patterns that is new
   double crop_change = 0.3;                // a field bears another crop

@@ -40,12 +40,30 @@ class PatternRows {
   double scale_;
 };
 
+// Gradual variation, and patches with definite edges as soils, wet ground and stands of one plant have them.
+cv::Mat patchwork(uint64_t seed, cv::Size size, double longest, double slope, double patch) {
+  cv::Mat gradual = noise_grid(seed, size, kPatternCell, longest, 1.0, slope);
+  const cv::Mat patches = noise_grid(mix(seed, "patches"), size, kPatternCell, patch, patch / 6, 1.0);
+  // The steeper the step, the sharper the edge: it is a metre or two wide here.
+  constexpr float kSteepness = 6.0F;
+  for (int v = 0; v < gradual.rows; ++v) {
+    float* row = gradual.ptr<float>(v);
+    const float* step = patches.ptr<float>(v);
+    for (int u = 0; u < gradual.cols; ++u) {
+      const float t = kSteepness * (std::abs(step[u]) - 0.8F);
+      row[u] = 0.75F * row[u] + 0.65F * t / std::sqrt(1 + t * t);
+    }
+  }
+  return gradual;
+}
+
 // Base pattern mixed with a new one that takes `change` of its variance.
-cv::Mat pattern(const EpochOptions& options, const char* name, cv::Size size, double longest, double slope) {
-  cv::Mat base = noise_grid(mix(options.seed, name), size, kPatternCell, longest, 1.0, slope);
+cv::Mat pattern(const EpochOptions& options, const char* name, cv::Size size, double longest, double slope,
+                double patch) {
+  cv::Mat base = patchwork(mix(options.seed, name), size, longest, slope, patch);
   if (options.base || options.change.pattern_change <= 0) return base;
   const double change = options.change.pattern_change;
-  const cv::Mat fresh = noise_grid(mix(options.epoch_seed, name), size, kPatternCell, longest, 1.0, slope);
+  const cv::Mat fresh = patchwork(mix(options.epoch_seed, name), size, longest, slope, patch);
   cv::addWeighted(base, std::sqrt(1 - change), fresh, std::sqrt(change), 0, base);
   return base;
 }
@@ -125,8 +143,8 @@ cv::Mat render(const Canvas& canvas, const Epoch& epoch, const LightOptions& lig
   const double scale = canvas.resolution / kPatternCell;
   const cv::Size cells(static_cast<int>(canvas.size().width * scale) + 3,
                        static_cast<int>(canvas.size().height * scale) + 3);
-  const cv::Mat soil = pattern(options, "soil", cells, 80.0, 0.55),
-                vegetation = pattern(options, "vegetation", cells, 25.0, 0.4);
+  const cv::Mat soil = pattern(options, "soil", cells, 80.0, 0.55, 45.0),
+                vegetation = pattern(options, "vegetation", cells, 25.0, 0.4, 16.0);
   const cv::Mat grain = noise_tile(mix(options.epoch_seed, "grain"), 0.8),
                 clumps = noise_tile(mix(options.epoch_seed, "clumps"), 3.0);
   cv::Mat image = cast_shadows(canvas.height, canvas.resolution, epoch.sun());

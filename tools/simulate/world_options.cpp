@@ -1,6 +1,7 @@
 #include "tools/simulate/world_options.h"
 
 #include <algorithm>
+#include <numbers>
 
 #include <fmt/format.h>
 #include <fmt/ranges.h>
@@ -10,6 +11,7 @@ namespace orthonav::simulate {
 namespace {
 
 constexpr double kShareMax = 1e6;
+constexpr double kLowestSun = 10 * std::numbers::pi / 180;  // shadows of all things would cover everything
 
 void read_map(ConfigNode&& node, MapOptions& map) {
   node.read("crs", map.crs);
@@ -45,11 +47,13 @@ void read_land(ConfigNode&& node, LandOptions& land) {
   node.finish();
 }
 
-DifferencePreset read_preset(ConfigNode&& node) {
+DifferencePreset read_preset(ConfigNode& node) {
   DifferencePreset preset;
   Difference& change = preset.change;
   node.read("days_min", change.days_min, 0.0, 365.0);
   node.read("days_max", change.days_max, change.days_min, 365.0);
+  node.read("day_first", change.day_first, 1.0, 365.0);
+  node.read("day_last", change.day_last, change.day_first, 365.0);
   node.read("hour_min", change.hour_min, 5.0, 19.0);
   node.read("hour_max", change.hour_max, change.hour_min, 19.0);
   node.read("pattern_change", change.pattern_change, 0.0, 1.0);
@@ -116,6 +120,10 @@ WorldOptions read_world(ConfigNode& world, const std::string& difference, std::o
   world.read("day_max", options.day_max, options.day_min, 365.0);
   world.read("hour_min", options.hour_min, 5.0, 19.0);
   world.read("hour_max", options.hour_max, options.hour_min, 19.0);
+  for (const double day : {options.day_min, options.day_max})
+    for (const double hour : {options.hour_min, options.hour_max})
+      if (sun_at(options.anchor.latitude_deg, day, hour).elevation < kLowestSun)
+        world.fail("hour_min", "the sun of the flight must stand at least 10 degrees high");
   ConfigNode light = world.child_or_empty("light");
   light.read("sky", options.light.sky, 0.02, 2.0);
   light.read("mean_level", options.light.mean_level, 20.0, 220.0);
@@ -126,7 +134,12 @@ WorldOptions read_world(ConfigNode& world, const std::string& difference, std::o
   std::vector<std::string> names;
   differences.require("names", names);
   for (const std::string& name : names) {
-    const DifferencePreset preset = read_preset(differences.child(name));
+    ConfigNode node = differences.child(name);
+    const DifferencePreset preset = read_preset(node);
+    for (const double day : {preset.change.day_first, preset.change.day_last})
+      for (const double hour : {preset.change.hour_min, preset.change.hour_max})
+        if (sun_at(options.anchor.latitude_deg, day, hour).elevation < kLowestSun)
+          node.fail("hour_min", "the sun of the map must stand at least 10 degrees high");
     if (name == difference) options.difference = preset;
   }
   if (std::find(names.begin(), names.end(), difference) == names.end())
