@@ -135,9 +135,8 @@ void Estimator::drop_newest() {
 
 double Estimator::parallax_to(const Frame& reference, int* common) const {
   const Frame& newest = *frames_.back();
-  const Eigen::Matrix3d R =
-      (reference.state.q().toRotationMatrix() * extrinsics_.R_B_C).transpose() * newest.state.q().toRotationMatrix() *
-      extrinsics_.R_B_C;
+  const Eigen::Matrix3d R = (reference.state.q().toRotationMatrix() * extrinsics_.R_B_C).transpose() *
+                            newest.state.q().toRotationMatrix() * extrinsics_.R_B_C;
   double sum = 0;
   int count = 0;
   for (const auto& [id, landmark] : landmarks_) {
@@ -186,8 +185,7 @@ void Estimator::triangulate() {
     double num = 0, den = 0, widest = 0;
     for (size_t k = 1; k < landmark.observations.size(); ++k) {
       const Observation& other = landmark.observations[k];
-      const Eigen::Vector3d bearing =
-          (other.frame->state.q() * (extrinsics_.R_B_C * other.ray)).normalized();
+      const Eigen::Vector3d bearing = (other.frame->state.q() * (extrinsics_.R_B_C * other.ray)).normalized();
       const Eigen::Vector3d step = p_i - other.frame->state.p() - other.frame->state.q() * extrinsics_.p_B_C;
       const Eigen::Vector3d a = bearing.cross(ray), c = bearing.cross(step);
       num -= a.dot(c);
@@ -236,13 +234,19 @@ void Estimator::optimise(int iterations) {
   problem_options.loss_function_ownership = ceres::DO_NOT_TAKE_OWNERSHIP;
   problem_options.disable_all_safety_checks = true;
   ceres::Problem problem(problem_options);
+  // Ceres eliminates the blocks of a group in the order of their addresses, and a replay must repeat bit for bit
+  // whatever the heap looks like: each state is a group of its own, and the depths lie in a row.
   auto ordering = std::make_shared<ceres::ParameterBlockOrdering>();
+  int group = 0;
   for (const auto& frame : frames_) {
     problem.AddParameterBlock(frame->state.pose.data(), 7, &manifold);
     problem.AddParameterBlock(frame->state.speed_bias.data(), 9);
-    ordering->AddElementToGroup(frame->state.pose.data(), 1);
-    ordering->AddElementToGroup(frame->state.speed_bias.data(), 1);
+    ordering->AddElementToGroup(frame->state.pose.data(), ++group);
+    ordering->AddElementToGroup(frame->state.speed_bias.data(), ++group);
   }
+  std::vector<double> inverse_depths;
+  std::vector<Landmark*> solved;
+  inverse_depths.reserve(landmarks_.size());
   if (!prior_.empty()) {
     std::vector<double*> blocks;
     for (const Prior::Block& block : prior_.blocks) {
@@ -259,6 +263,7 @@ void Estimator::optimise(int iterations) {
   for (auto& [id, landmark] : landmarks_) {
     if (!landmark.has_depth || landmark.observations.size() < 2) continue;
     const Observation& anchor = landmark.anchor();
+    inverse_depths.push_back(landmark.inverse_depth);
     bool added = false;
     for (size_t k = 1; k < landmark.observations.size(); ++k) {
       const Observation& other = landmark.observations[k];
@@ -268,10 +273,15 @@ void Estimator::optimise(int iterations) {
       }
       problem.AddResidualBlock(
           new ProjectionFactor(anchor.ray, other.ray, extrinsics_, weight(), *anchor.frame, *other.frame), &loss,
-          anchor.frame->state.pose.data(), other.frame->state.pose.data(), &landmark.inverse_depth);
+          anchor.frame->state.pose.data(), other.frame->state.pose.data(), &inverse_depths.back());
       added = true;
     }
-    if (added) ordering->AddElementToGroup(&landmark.inverse_depth, 0);
+    if (added) {
+      ordering->AddElementToGroup(&inverse_depths.back(), 0);
+      solved.push_back(&landmark);
+    } else {
+      inverse_depths.pop_back();
+    }
   }
   ceres::Solver::Options options;
   options.linear_solver_type = ceres::DENSE_SCHUR;
@@ -284,6 +294,7 @@ void Estimator::optimise(int iterations) {
   options.logging_type = ceres::SILENT;
   ceres::Solver::Summary summary;
   ceres::Solve(options, &problem, &summary);
+  for (size_t k = 0; k < solved.size(); ++k) solved[k]->inverse_depth = inverse_depths[k];
 }
 
 void Estimator::find_outliers() {
@@ -375,7 +386,8 @@ void Estimator::marginalise_oldest() {
     }
     // Still seen: anchored at its next observation, at the depth it has there.
     if (landmark.has_depth) {
-      const Eigen::Vector3d p_B = extrinsics_.R_B_C * landmark.anchor().ray / landmark.inverse_depth + extrinsics_.p_B_C;
+      const Eigen::Vector3d p_B =
+          extrinsics_.R_B_C * landmark.anchor().ray / landmark.inverse_depth + extrinsics_.p_B_C;
       const Eigen::Vector3d p_W = oldest.state.q() * p_B + oldest.state.p();
       const StateValues& next = landmark.observations[1].frame->state;
       const Eigen::Vector3d p_C =
