@@ -20,8 +20,8 @@ struct EdgeOptions {
 
 // How well a fix is known.
 struct FixOptions {
-  double horizontal_stddev_floor = 1.0;  // m per axis: errors that neighbouring fixes share and no fix reports
-  double vertical_stddev_floor = 1.5;    // m
+  double horizontal_stddev_floor = 3.0;  // m per axis: errors that neighbouring fixes share and no fix reports
+  double vertical_stddev_floor = 6.0;    // m
   double default_stddev = 5.0;           // m per axis where the fix carries no covariance
   double default_heading_stddev = 0.09;  // rad, where the fix carries none
   bool height_from_odometry = true;      // the fix's height over the ground has the odometry's scale
