@@ -34,7 +34,8 @@ DecodedImage decode_image(const image_t& image, int width, int height) {
     return refuse(fmt::format("image size {}x{} is not plausible", image.width, image.height));
   }
   if ((width > 0 && image.width != width) || (height > 0 && image.height != height)) {
-    return refuse(fmt::format("image is {}x{}, the calibration is for {}x{}", image.width, image.height, width, height));
+    return refuse(
+        fmt::format("image is {}x{}, the calibration is for {}x{}", image.width, image.height, width, height));
   }
   if (image.size <= 0 || image.data.size() < static_cast<size_t>(image.size)) {
     return refuse("image has no data");

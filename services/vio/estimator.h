@@ -28,27 +28,27 @@
 namespace orthonav::vio {
 
 struct EstimatorOptions {
-  int window = 12;                   // keyframes
-  double keyframe_parallax = 20;     // pixels
-  double keyframe_tracked = 0.5;     // fraction of the last keyframe's features below which a new one is made
-  double pixel_sigma = 0.3;          // pixels, 1 sigma of a tracked feature
-  double robust_width = 1.5;         // sigmas at which the loss turns linear
-  double outlier_error = 3.0;        // pixels, root mean square over the window, or in the newest frame twice that
-  double min_parallax = 4.0;         // pixels, before a landmark is triangulated
-  int iterations = 5;                // of the solver per frame
-  double gravity = 9.81;             // m/s^2
-  double accel_bias_sigma = 0.1;     // m/s^2, 1 sigma at the start of a session
-  double gyro_bias_sigma = 0.02;     // rad/s, likewise
-  double init_interval = 0.4;        // s, longest time between the frames that a start is made of
-  double init_parallax = 15;         // pixels of movement that make such a frame earlier
-  double init_min_time = 1.5;        // s, shortest stretch to start from
-  double init_scale_sigma = 0.05;    // accept a start when the scale's relative standard deviation is below this
-  double max_accel_bias = 1.0;       // m/s^2: beyond this the estimate has failed
-  double max_gyro_bias = 0.3;        // rad/s: likewise
-  double max_speed = 60;             // m/s: likewise
-  int min_landmarks = 8;             // with fewer in view for `blind_time` the estimate has failed
-  int degraded_landmarks = 20;       // with fewer in view the status is degraded
-  double blind_time = 2.0;           // s
+  int window = 12;                 // keyframes
+  double keyframe_parallax = 20;   // pixels
+  double keyframe_tracked = 0.5;   // fraction of the last keyframe's features below which a new one is made
+  double pixel_sigma = 0.3;        // pixels, 1 sigma of a tracked feature
+  double robust_width = 1.5;       // sigmas at which the loss turns linear
+  double outlier_error = 3.0;      // pixels, root mean square over the window, or in the newest frame twice that
+  double min_parallax = 4.0;       // pixels, before a landmark is triangulated
+  int iterations = 5;              // of the solver per frame
+  double gravity = 9.81;           // m/s^2
+  double accel_bias_sigma = 0.1;   // m/s^2, 1 sigma at the start of a session
+  double gyro_bias_sigma = 0.02;   // rad/s, likewise
+  double init_interval = 0.4;      // s, longest time between the frames that a start is made of
+  double init_parallax = 15;       // pixels of movement that make such a frame earlier
+  double init_min_time = 1.5;      // s, shortest stretch to start from
+  double init_scale_sigma = 0.05;  // accept a start when the scale's relative standard deviation is below this
+  double max_accel_bias = 1.0;     // m/s^2: beyond this the estimate has failed
+  double max_gyro_bias = 0.3;      // rad/s: likewise
+  double max_speed = 60;           // m/s: likewise
+  int min_landmarks = 8;           // with fewer in view for `blind_time` the estimate has failed
+  int degraded_landmarks = 20;     // with fewer in view the status is degraded
+  double blind_time = 2.0;         // s
 };
 
 struct KeyframeFeature {
@@ -65,8 +65,8 @@ struct Keyframe {
   int64_t utime = 0;
   int id = 0;
   StateValues state;
-  double height_above_ground = 0;                     // m, NaN: unknown
-  Eigen::Matrix<double, 6, 6> relative_covariance;    // as in vio_keyframe_t; NaN: unknown
+  double height_above_ground = 0;                   // m, NaN: unknown
+  Eigen::Matrix<double, 6, 6> relative_covariance;  // as in vio_keyframe_t; NaN: unknown
   std::vector<KeyframeFeature> features;
 };
 

@@ -144,10 +144,9 @@ bool Estimator::try_start() {
     }
     return false;
   };
-  const LinearStart start =
-      solve_linear_start(frame_pointers(), landmarks_, extrinsics_, options_.gravity, gyro_bias_,
-                         gyro_bias_known_ ? gyro_bias_sigma_ : std::max(0.1, gyro_bias_sigma_),
-                         options_.accel_bias_sigma, weight(), options_.pixel_sigma);
+  const LinearStart start = solve_linear_start(frame_pointers(), landmarks_, extrinsics_, options_.gravity, gyro_bias_,
+                                               gyro_bias_known_ ? gyro_bias_sigma_ : std::max(0.1, gyro_bias_sigma_),
+                                               options_.accel_bias_sigma, weight(), options_.pixel_sigma);
   if (!start.ok) return give_up(start.reason);
   if (start.residual > options_.outlier_error) {
     return give_up(fmt::format("the motion does not fit the IMU ({:.1f} px)", start.residual));

@@ -148,7 +148,8 @@ class Solver {
     size_t first = 0;
     for (const Track& track : tracks_) {
       const size_t count = track.frames.size() - 1;
-      const auto segment = residuals.segment(static_cast<Eigen::Index>(2 * first), static_cast<Eigen::Index>(2 * count));
+      const auto segment =
+          residuals.segment(static_cast<Eigen::Index>(2 * first), static_cast<Eigen::Index>(2 * count));
       errors.push_back(std::sqrt(segment.squaredNorm() / static_cast<double>(count)));
       if (track.depth > 0) depths.push_back(track.depth);
       first += count;
@@ -184,7 +185,8 @@ class Solver {
       const Inertial& from = inertial_[k - 1];
       Inertial& to = inertial_[k];
       to.t = from.t + pre.duration();
-      to.alpha = from.alpha + from.beta * pre.duration() + from.R * pre.corrected_alpha(Eigen::Vector3d::Zero(), gyro_bias);
+      to.alpha =
+          from.alpha + from.beta * pre.duration() + from.R * pre.corrected_alpha(Eigen::Vector3d::Zero(), gyro_bias);
       to.beta = from.beta + from.R * pre.corrected_beta(Eigen::Vector3d::Zero(), gyro_bias);
       to.alpha_ba = from.alpha_ba + from.beta_ba * pre.duration() + from.R * pre.jacobian().block<3, 3>(0, 9);
       to.beta_ba = from.beta_ba + from.R * pre.jacobian().block<3, 3>(6, 9);

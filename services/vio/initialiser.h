@@ -2,10 +2,10 @@
 //
 // With rotations from the gyroscope and b a bearing, the camera positions are linear in the first frame's velocity v
 // and gravity g, P_k = v t_k + g t_k^2 / 2 + alpha_k, so that each observation of a point gives two equations linear
-// in (v, accelerometer bias, g, depth). Each depth is eliminated, |g| is imposed exactly by a Lagrange multiplier, and the gyroscope bias
-// is found by Gauss-Newton on what remains (variable projection). No fundamental matrix and no structure from motion
-// beforehand: a flat scene is as good as any, and all tracks are used together. After Martinelli (IJCV 2014) and
-// Kaiser et al. (RA-L 2017). The estimator refines the result and decides whether to trust it.
+// in (v, accelerometer bias, g, depth). Each depth is eliminated, |g| is imposed exactly by a Lagrange multiplier, and
+// the gyroscope bias is found by Gauss-Newton on what remains (variable projection). No fundamental matrix and no
+// structure from motion beforehand: a flat scene is as good as any, and all tracks are used together. After Martinelli
+// (IJCV 2014) and Kaiser et al. (RA-L 2017). The estimator refines the result and decides whether to trust it.
 #pragma once
 
 #include <map>
@@ -21,9 +21,9 @@ namespace orthonav::vio {
 
 struct LinearStart {
   bool ok = false;
-  std::string reason;  // why not
+  std::string reason;                                   // why not
   Eigen::Vector3d gyro_bias = Eigen::Vector3d::Zero();  // rad/s
-  double residual = 0;  // root mean square of the equations, pixels
+  double residual = 0;                                  // root mean square of the equations, pixels
 };
 
 // Solves for the frames (at least 4, in order, each but the first with its `imu`) and, when it is ok, sets their

@@ -17,7 +17,7 @@
 namespace orthonav::vio {
 
 struct ImuSample {
-  int64_t utime = 0;      // microseconds since the Unix epoch
+  int64_t utime = 0;                                // microseconds since the Unix epoch
   Eigen::Vector3d gyro = Eigen::Vector3d::Zero();   // rad/s in B
   Eigen::Vector3d accel = Eigen::Vector3d::Zero();  // m/s^2 in B, specific force
 };

@@ -31,7 +31,9 @@ const double* block_value(const Prior::Block& block) {
 
 }  // namespace
 
-double huber_weight(double s, double width) { return s <= width * width ? 1.0 : width / std::sqrt(s); }
+double huber_weight(double s, double width) {
+  return s <= width * width ? 1.0 : width / std::sqrt(s);
+}
 
 Eigen::VectorXd Prior::residual() const {
   Eigen::VectorXd difference(J.cols());
@@ -74,8 +76,8 @@ bool PriorFactor::Evaluate(double const* const* parameters, double* residuals, d
     block_difference(block, parameters[k], difference.segment(column, block.size()));
     if (jacobians && jacobians[k]) {
       const int width = block.speed_bias ? 9 : 7;
-      Eigen::Map<Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>> out(
-          jacobians[k], prior_.J.rows(), width);
+      Eigen::Map<Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>> out(jacobians[k],
+                                                                                             prior_.J.rows(), width);
       out.leftCols(block.size()) = prior_.J.middleCols(column, block.size());
       if (!block.speed_bias) out.col(6).setZero();
     }
@@ -97,7 +99,9 @@ size_t NormalEquations::index_of(const Frame& frame) const {
   return static_cast<size_t>(found - frames_.begin());
 }
 
-int NormalEquations::pose_offset(const Frame& frame) const { return static_cast<int>(6 * index_of(frame)); }
+int NormalEquations::pose_offset(const Frame& frame) const {
+  return static_cast<int>(6 * index_of(frame));
+}
 
 int NormalEquations::speed_bias_offset(const Frame& frame) const {
   return static_cast<int>(6 * frames_.size() + 9 * index_of(frame));
@@ -198,8 +202,7 @@ Prior NormalEquations::marginalise(const Frame& frame) const {
       block_difference({other, false}, other->state.pose.data(), difference.segment(pose_offset(*other), 6));
     }
     if (other->speed_bias_fixed) {
-      block_difference({other, true}, other->state.speed_bias.data(),
-                       difference.segment(speed_bias_offset(*other), 9));
+      block_difference({other, true}, other->state.speed_bias.data(), difference.segment(speed_bias_offset(*other), 9));
     }
   }
   const Eigen::VectorXd b = b_ + H_ * difference;
@@ -238,7 +241,8 @@ Prior NormalEquations::marginalise(const Frame& frame) const {
 
   const Eigen::SelfAdjointEigenSolver<Eigen::MatrixXd> eigen_m(H_mm);
   const double floor_m = 1e-12 * eigen_m.eigenvalues().maxCoeff();
-  const Eigen::VectorXd inverse_m = eigen_m.eigenvalues().unaryExpr([&](double x) { return x > floor_m ? 1.0 / x : 0; });
+  const Eigen::VectorXd inverse_m =
+      eigen_m.eigenvalues().unaryExpr([&](double x) { return x > floor_m ? 1.0 / x : 0; });
   const Eigen::MatrixXd H_rm_inv =
       H_mr.transpose() * eigen_m.eigenvectors() * inverse_m.asDiagonal() * eigen_m.eigenvectors().transpose();
   Eigen::MatrixXd H = H_rr - H_rm_inv * H_mr;

@@ -34,8 +34,8 @@ struct Prior {
 
 // Standard deviations of what is known of a session's first frame.
 struct InitialUncertainty {
-  double position = 1e-3;  // m: the origin of W is arbitrary, so nearly nothing
-  double yaw = 1e-4;       // rad: likewise
+  double position = 1e-3;   // m: the origin of W is arbitrary, so nearly nothing
+  double yaw = 1e-4;        // rad: likewise
   double accel_bias = 0.1;  // m/s^2
   double gyro_bias = 0.02;  // rad/s
 };

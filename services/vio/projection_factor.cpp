@@ -36,9 +36,8 @@ ProjectionFactor::ProjectionFactor(const Eigen::Vector3d& ray_i, const Eigen::Ve
     : ray_i_(ray_i), ray_j_(ray_j), extrinsics_(extrinsics), weight_(weight), i_(i), j_(j) {}
 
 bool ProjectionFactor::evaluate(const Eigen::Vector3d& ray_i, const Eigen::Vector3d& ray_j,
-                                const Extrinsics& extrinsics, double weight, const double* pose_i,
-                                const double* pose_j, double inverse_depth, Eigen::Vector2d* residual,
-                                Jacobians* jacobians) {
+                                const Extrinsics& extrinsics, double weight, const double* pose_i, const double* pose_j,
+                                double inverse_depth, Eigen::Vector2d* residual, Jacobians* jacobians) {
   const Eigen::Map<const Eigen::Vector3d> p_i(pose_i), p_j(pose_j);
   const Eigen::Map<const Eigen::Quaterniond> q_i(pose_i + 3), q_j(pose_j + 3);
   // Everything times the inverse depth, which keeps points at infinity finite.

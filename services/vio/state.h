@@ -69,7 +69,7 @@ struct Landmark {
   std::vector<Observation> observations;  // in the order of time, all in the window
   double inverse_depth = 0;               // 1/m, in the anchor's C along z
   bool has_depth = false;
-  bool tracked = true;  // seen in the newest frame
+  bool tracked = true;            // seen in the newest frame
   double reprojection_error = 0;  // pixels, root mean square over the window
 
   const Observation& anchor() const { return observations.front(); }

@@ -54,8 +54,8 @@ const std::vector<TrackedFeature>& Tracker::track(const cv::Mat& grey, const Eig
                                                   bool rotation_trusted) {
   const cv::Mat image = normalised(grey);
   std::vector<cv::Mat> pyramid;
-  cv::buildOpticalFlowPyramid(image, pyramid, {options_.search_window, options_.search_window},
-                              options_.pyramid_levels, true);
+  cv::buildOpticalFlowPyramid(image, pyramid, {options_.search_window, options_.search_window}, options_.pyramid_levels,
+                              true);
   if (!pyramid_.empty() && !features_.empty()) {
     std::vector<TrackedFeature> previous = features_;
     follow(pyramid, R_cur_prev);
@@ -124,8 +124,8 @@ void Tracker::reject_outliers(const std::vector<TrackedFeature>& previous, const
     points_2.emplace_back(features_[i].ray.x(), features_[i].ray.y());
   }
   std::vector<uchar> mask;
-  const cv::Mat E = cv::findEssentialMat(points_1, points_2, cv::Mat::eye(3, 3, CV_64F), cv::RANSAC, 0.99, threshold,
-                                         100, mask);
+  const cv::Mat E =
+      cv::findEssentialMat(points_1, points_2, cv::Mat::eye(3, 3, CV_64F), cv::RANSAC, 0.99, threshold, 100, mask);
   if (E.empty() || mask.size() != features_.size()) return;
   keep(features_, std::vector<bool>(mask.begin(), mask.end()));
 }

@@ -20,12 +20,12 @@ namespace orthonav::vio {
 
 struct TrackerOptions {
   int max_features = 150;
-  double corner_quality = 0.01;    // of the image's best corner
-  double border = 10;              // pixels
-  int search_window = 21;          // pixels, side of the patch
-  int pyramid_levels = 3;          // above the full image
-  double round_trip = 0.5;         // pixels: largest error of tracking forth and back
-  double outlier_distance = 1.5;   // pixels from the epipolar line
+  double corner_quality = 0.01;   // of the image's best corner
+  double border = 10;             // pixels
+  int search_window = 21;         // pixels, side of the patch
+  int pyramid_levels = 3;         // above the full image
+  double round_trip = 0.5;        // pixels: largest error of tracking forth and back
+  double outlier_distance = 1.5;  // pixels from the epipolar line
 };
 
 class Tracker {

@@ -17,7 +17,9 @@ constexpr double kUnknown = std::numeric_limits<double>::quiet_NaN();
 // Images that may wait: one in work and a few that arrived while it was, so that a slow frame costs no track.
 constexpr size_t kImageQueue = 4;
 
-void put(const Eigen::Vector3d& from, double* to) { std::copy_n(from.data(), 3, to); }
+void put(const Eigen::Vector3d& from, double* to) {
+  std::copy_n(from.data(), 3, to);
+}
 
 void put(const Eigen::Quaterniond& from, double* to) {
   to[0] = from.w();
@@ -33,12 +35,10 @@ void put(const Eigen::Matrix<double, 6, 6>& from, double* to) {
 }  // namespace
 
 VioService::VioService(Node& node, const std::filesystem::path& config)
-    : node_(node),
-      setup_(load_setup(config)),
-      vio_(setup_.options, setup_.camera, setup_.extrinsics) {
+    : node_(node), setup_(load_setup(config)), vio_(setup_.options, setup_.camera, setup_.extrinsics) {
   node_.subscribe<imu_t>(channel::kImu, Delivery::kAll, [this](const imu_t& message) { on_imu(message); });
-  node_.subscribe<image_t>(channel::kCamera, Delivery::kLatest,
-                           [this](const image_t& message) { on_image(message); }, kImageQueue);
+  node_.subscribe<image_t>(
+      channel::kCamera, Delivery::kLatest, [this](const image_t& message) { on_image(message); }, kImageQueue);
   node_.health().set_state(Health::State::kStarting, "waiting for IMU and CAMERA");
 }
 

@@ -37,8 +37,8 @@ TEST(IngestProcess, WaitsForServicesThenPlaysALogInOrderWithoutItsBadSamples) {
   ASSERT_TRUE(bus.good());
   Collector<imu_t> imu(bus, channel::kImu);
   Collector<health_t> health(bus, channel::kHealth);
-  ChildProcess ingest({test::program("orthonav-ingest"), "--config", test::source_tree(), "--log", file,
-                       "--speed", "4", "--wait-for", "vio"});
+  ChildProcess ingest({test::program("orthonav-ingest"), "--config", test::source_tree(), "--log", file, "--speed", "4",
+                       "--wait-for", "vio"});
   ASSERT_TRUE(handle_until(bus, [&] { return !health.messages.empty(); }));
   EXPECT_THAT(health.messages[0].service, "ingest");
   ASSERT_TRUE(
@@ -64,8 +64,8 @@ TEST(IngestProcess, TerminatesInOrderOnSigterm) {
   }
   lcm::LCM bus;
   Collector<health_t> health(bus, channel::kHealth);
-  ChildProcess ingest({test::program("orthonav-ingest"), "--config", test::source_tree(), "--log", file,
-                       "--wait-for", "nobody"});
+  ChildProcess ingest(
+      {test::program("orthonav-ingest"), "--config", test::source_tree(), "--log", file, "--wait-for", "nobody"});
   ASSERT_TRUE(handle_until(bus, [&] { return !health.messages.empty(); }));
   ingest.signal(SIGTERM);
   EXPECT_EQ(ingest.wait_exit(test::kPatience), 0);

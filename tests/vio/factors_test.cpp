@@ -64,7 +64,7 @@ void expect_jacobians_match(const ceres::CostFunction& cost, const std::vector<s
   for (size_t b = 0; b < blocks.size(); ++b) {
     const auto width = static_cast<Eigen::Index>(blocks[b].size());
     const Eigen::Map<Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>> J(jacobians[b], rows,
-                                                                                              width);
+                                                                                               width);
     const int directions = blocks[b].size() == 7 ? 6 : static_cast<int>(blocks[b].size());
     for (int d = 0; d < directions; ++d) {
       const double step = 1e-6;
@@ -82,8 +82,12 @@ void expect_jacobians_match(const ceres::CostFunction& cost, const std::vector<s
   }
 }
 
-std::vector<double> as_vector(const std::array<double, 7>& a) { return {a.begin(), a.end()}; }
-std::vector<double> as_vector(const std::array<double, 9>& a) { return {a.begin(), a.end()}; }
+std::vector<double> as_vector(const std::array<double, 7>& a) {
+  return {a.begin(), a.end()};
+}
+std::vector<double> as_vector(const std::array<double, 9>& a) {
+  return {a.begin(), a.end()};
+}
 
 Preintegration some_motion() {
   Preintegration pre({0.02, -0.03, 0.01}, {0.004, 0.001, -0.002}, {});
@@ -266,7 +270,8 @@ TEST(Marginalisation, KeepsTheInformationOfTheFullProblem) {
   NormalEquations full(problem.pointers());
   full.add_prior(start);
   for (size_t k = 1; k < 4; ++k) full.add_imu(*problem.frames[k - 1], *problem.frames[k], 9.81);
-  for (const Landmark& landmark : problem.landmarks) full.add_landmark(landmark, problem.extrinsics, problem.weight, 1e9);
+  for (const Landmark& landmark : problem.landmarks)
+    full.add_landmark(landmark, problem.extrinsics, problem.weight, 1e9);
 
   NormalEquations leaving(problem.pointers());
   leaving.add_prior(start);

@@ -52,11 +52,13 @@ void run_pending(Vio& vio, Result& result, bool verbose) {
     if (!output) break;
     if (verbose && (output->keyframe || output->status != Estimator::Status::kTracking)) {
       const auto& s = output->state;
-      std::printf("%.2f session %d status %d tracked %d features %zu h %.2f v %.2f %.2f %.2f ba %.3f %.3f %.3f bg %.4f %.4f %.4f %.1f ms %s\n",
-                  1e-6 * static_cast<double>(output->utime), output->session, static_cast<int>(output->status),
-                  output->num_tracked, output->keyframe ? output->keyframe->features.size() : 0,
-                  output->height_above_ground, s.v().x(), s.v().y(), s.v().z(), s.ba().x(), s.ba().y(), s.ba().z(),
-                  s.bg().x(), s.bg().y(), s.bg().z(), ms, output->reason.c_str());
+      std::printf(
+          "%.2f session %d status %d tracked %d features %zu h %.2f v %.2f %.2f %.2f ba %.3f %.3f %.3f bg %.4f %.4f "
+          "%.4f %.1f ms %s\n",
+          1e-6 * static_cast<double>(output->utime), output->session, static_cast<int>(output->status),
+          output->num_tracked, output->keyframe ? output->keyframe->features.size() : 0, output->height_above_ground,
+          s.v().x(), s.v().y(), s.v().z(), s.ba().x(), s.ba().y(), s.ba().z(), s.bg().x(), s.bg().y(), s.bg().z(), ms,
+          output->reason.c_str());
     }
     result.outputs.push_back(*output);
     result.ms.push_back(ms);
@@ -186,8 +188,7 @@ std::optional<Pose> truth_at(const std::map<int64_t, Pose>& truth, int64_t utime
   if (after == truth.begin()) return std::nullopt;
   const auto before = std::prev(after);
   if (after->first - before->first > 200000) return std::nullopt;
-  const double s =
-      static_cast<double>(utime - before->first) / static_cast<double>(after->first - before->first);
+  const double s = static_cast<double>(utime - before->first) / static_cast<double>(after->first - before->first);
   return Pose{(1 - s) * before->second.p + s * after->second.p, before->second.q.slerp(s, after->second.q)};
 }
 
@@ -244,9 +245,8 @@ void report(const std::string& name, const Result& result, const std::filesystem
     }
   }
   std::printf("%-28s sessions %d  start %.1f s%s  drift/100m %.2f %%  ms median %.1f p99 %.1f\n", name.c_str(),
-              result.outputs.back().session,
-              1e-6 * static_cast<double>(start - result.outputs.front().utime), per_session.c_str(),
-              100 * median(drift), quantile(ms, 0.5), quantile(ms, 0.99));
+              result.outputs.back().session, 1e-6 * static_cast<double>(start - result.outputs.front().utime),
+              per_session.c_str(), 100 * median(drift), quantile(ms, 0.5), quantile(ms, 0.99));
   if (!dump.empty()) {
     std::ofstream out(dump);
     for (const VioOutput& output : result.outputs) {
@@ -283,8 +283,8 @@ void report_starts(const std::filesystem::path& file, const VioSetup& setup, int
       after = off;
       if (output.utime > start + 5000000) break;
     }
-    std::printf("start at %.1f s: took %.1f s, height off by %.1f %%, five seconds later %.1f %%, sessions %d%s\n", begin,
-                time, 100 * error, 100 * after, result.outputs.back().session,
+    std::printf("start at %.1f s: took %.1f s, height off by %.1f %%, five seconds later %.1f %%, sessions %d%s\n",
+                begin, time, 100 * error, 100 * after, result.outputs.back().session,
                 time < 0 ? ("  " + result.outputs.back().reason).c_str() : "");
     if (time < 0) {
       ++failed;
@@ -294,9 +294,11 @@ void report_starts(const std::filesystem::path& file, const VioSetup& setup, int
     errors.push_back(std::abs(error));
     later.push_back(std::abs(after));
   }
-  std::printf("%d starts, %d failed; time median %.1f p90 %.1f s; scale error median %.1f %% p90 %.1f %%, later median %.1f %% p90 %.1f %%\n",
-              starts, failed, median(times), quantile(times, 0.9), 100 * median(errors), 100 * quantile(errors, 0.9),
-              100 * median(later), 100 * quantile(later, 0.9));
+  std::printf(
+      "%d starts, %d failed; time median %.1f p90 %.1f s; scale error median %.1f %% p90 %.1f %%, later median %.1f %% "
+      "p90 %.1f %%\n",
+      starts, failed, median(times), quantile(times, 0.9), 100 * median(errors), 100 * quantile(errors, 0.9),
+      100 * median(later), 100 * quantile(later, 0.9));
 }
 
 }  // namespace
@@ -327,8 +329,8 @@ int main(int argc, char** argv) {
         vio::report_starts(input, setup, starts, starts_until);
         continue;
       }
-      const vio::Result result = asl ? vio::run_asl(input, setup.options, duration, verbose)
-                                     : vio::run_log(input, setup, duration, verbose);
+      const vio::Result result =
+          asl ? vio::run_asl(input, setup.options, duration, verbose) : vio::run_log(input, setup, duration, verbose);
       vio::report(input.filename().string(), result, dump);
     }
   } catch (const std::exception& error) {
