@@ -2,10 +2,10 @@
 // here as plainly as can be, apart from the services. For each seed: single images from random places over the map,
 // whose heading is off by 3 degrees and whose scale by 3 % (1 sigma), are put onto the whole map without any prior
 // position.
+#include <algorithm>
 #include <cmath>
 #include <cstdio>
 #include <filesystem>
-#include <iostream>
 #include <numbers>
 #include <random>
 #include <string>
@@ -82,6 +82,7 @@ struct Map {
 
 cv::Mat describe(const cv::Mat& image, const std::vector<cv::Point2f>& points, double size) {
   std::vector<cv::KeyPoint> keypoints;
+  keypoints.reserve(points.size());
   for (const cv::Point2f& p : points) keypoints.emplace_back(p, static_cast<float>(size), 0.0F);
   cv::Mat descriptors;
   cv::SIFT::create()->compute(image, keypoints, descriptors);
@@ -270,9 +271,7 @@ void run(const Arguments& arguments) {
   }
 }
 
-}  // namespace
-
-int main(int argc, char** argv) {
+int run_with(int argc, char** argv) {
   CLI::App app(
       "How well the paper's matcher finds single images of the simulated world on its map, without a prior position");
   Arguments arguments;
@@ -286,11 +285,17 @@ int main(int argc, char** argv) {
   app.add_option("--pictures", arguments.pictures, "folder to leave the images in");
   CLI11_PARSE(app, argc, argv);
   cv::setNumThreads(1);
+  run(arguments);
+  return 0;
+}
+
+}  // namespace
+
+int main(int argc, char** argv) {
   try {
-    run(arguments);
+    return run_with(argc, argv);
   } catch (const std::exception& error) {
-    std::cerr << error.what() << '\n';
+    std::fprintf(stderr, "calibrate-differences: %s\n", error.what());
     return 1;
   }
-  return 0;
 }

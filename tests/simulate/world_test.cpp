@@ -7,6 +7,7 @@
 #include <numbers>
 #include <string>
 
+#include <fmt/format.h>
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 #include <opencv2/imgproc.hpp>
@@ -92,9 +93,9 @@ TEST_F(WorldTest, MapStandsWhereItsGeoreferenceSays) {
       "pond: 0, scatter: 30, parcel_area: 800}\n";
   for (const std::string crs : {"EPSG:32633", "EPSG:3857", "EPSG:4326"}) {
     const std::filesystem::path file = folder_ / "map.tif";
-    const World world =
-        make(5, "same", file,
-             exact + "  map_product: {crs: \"" + crs + "\", offset_rms: 0, jpeg_quality: 0, colour: false}\n");
+    const World world = make(
+        5, "same", file,
+        fmt::format("{}  map_product: {{crs: \"{}\", offset_rms: 0, jpeg_quality: 0, colour: false}}\n", exact, crs));
     const Raster raster(file);
     EXPECT_NEAR(raster.metres_per_pixel({raster.width() / 2.0, raster.height() / 2.0}), 0.3, 0.001) << crs;
     Geodetic corner = raster.pixel_to_geodetic({-0.5, -0.5});
@@ -146,9 +147,14 @@ TEST_F(WorldTest, MapOffsetHasTheConfiguredSizeAndMovesTheMap) {
   const World world = make(2, "season", "", "  map_product: {offset_rms: 2.5}\n");
   double sum = 0;
   int count = 0;
-  for (double e = world.map_east_min; e < world.map_east_max; e += 2)
-    for (double n = world.map_north_min; n < world.map_north_max; n += 2, ++count)
-      sum += world.map_offset({e, n}).squaredNorm();
+  constexpr int kNodes = 60;
+  for (int j = 0; j < kNodes; ++j) {
+    for (int i = 0; i < kNodes; ++i, ++count) {
+      const Eigen::Vector2d p(world.map_east_min + (world.map_east_max - world.map_east_min) * (i + 0.5) / kNodes,
+                              world.map_north_min + (world.map_north_max - world.map_north_min) * (j + 0.5) / kNodes);
+      sum += world.map_offset(p).squaredNorm();
+    }
+  }
   EXPECT_NEAR(std::sqrt(sum / count), 2.5, 0.05);
 }
 
@@ -160,7 +166,8 @@ TEST_F(WorldTest, MapShowsAPointWhereTheOffsetPutsIt) {
   const MapOptions options{.crs = "EPSG:3857", .colour = false, .jpeg_quality = 0};
   const MapSensor plain{.blur = 0, .lean_deg = 0, .tint = 0, .noise = 0};
   write_map(
-      folder_ / "map.tif", options, plain, frame, 30, 30, scene, [&](const Eigen::Vector2d&) { return offset; }, 1);
+      folder_ / "map.tif", options, plain, frame, 30, 30, scene,
+      [&](const Eigen::Vector2d&) -> Eigen::Vector2d { return offset; }, 1);
   const Raster raster(folder_ / "map.tif");
   const cv::Moments m = cv::moments(read(folder_ / "map.tif"));
   Geodetic shown = raster.pixel_to_geodetic({m.m10 / m.m00, m.m01 / m.m00});

@@ -337,7 +337,7 @@ Material Epoch::vehicle(const Slot& slot) const {
   static const std::array<cv::Vec3f, 9> kPaint{rgb(222, 222, 222), rgb(40, 40, 44),  rgb(150, 152, 156),
                                                rgb(92, 94, 98),    rgb(150, 34, 32), rgb(40, 62, 120),
                                                rgb(196, 196, 190), rgb(48, 84, 58),  rgb(176, 108, 40)};
-  const cv::Vec3f paint = kPaint[static_cast<size_t>(draw(slot.id, "paint", 1.0) * kPaint.size())];
+  const cv::Vec3f& paint = kPaint[static_cast<size_t>(draw(slot.id, "paint", 1.0) * kPaint.size())];
   return plain(paint * 0.95F, paint * 1.05F, 0, 0, 0.02, 0.01);
 }
 

@@ -223,7 +223,8 @@ cv::Mat render(const Canvas& canvas, const Epoch& epoch, const LightOptions& lig
   double sum = 0;
   constexpr int kLook = 16;
   shade_rows(0, canvas.size().height, kLook, 1.0F, &sum);
-  const double looked = static_cast<double>((canvas.size().height + kLook - 1) / kLook) * canvas.size().width;
+  const int looked_rows = (canvas.size().height + kLook - 1) / kLook;
+  const double looked = static_cast<double>(looked_rows) * canvas.size().width;
   const float gain = static_cast<float>(light.mean_level / std::max(1.0, sum / looked));
   cv::parallel_for_(
       cv::Range(0, canvas.size().height),

@@ -46,7 +46,7 @@ double area(const Outline& polygon) {
 Eigen::Vector2d centroid(const Outline& polygon) {
   Eigen::Vector2d sum = Eigen::Vector2d::Zero();
   double twice = 0;
-  const Eigen::Vector2d origin = polygon.front();
+  const Eigen::Vector2d& origin = polygon.front();
   for (size_t i = 0; i < polygon.size(); ++i) {
     const Eigen::Vector2d a = polygon[i] - origin, b = polygon[(i + 1) % polygon.size()] - origin;
     sum += cross(a, b) * (a + b) / 3.0;
