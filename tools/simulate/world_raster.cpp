@@ -137,11 +137,11 @@ World make_raster_world(const WorldOptions& options, const RasterOptions& raster
     heights += rasters.surface_offset - options.anchor.height;
     surface.height = resampler(heights, cv::INTER_LINEAR, cv::mean(heights));
   }
-  // Bare ground: what is low within a window wider than houses and crowns.
+  // Bare ground: what an opening wider than houses and crowns leaves, which keeps slopes where they are.
   cv::Mat coarse, ground;
   const double cell = 5.0;
   cv::resize(surface.height, coarse, {}, options.resolution / cell, options.resolution / cell, cv::INTER_NEAREST);
-  cv::erode(coarse, ground, cv::getStructuringElement(cv::MORPH_ELLIPSE, {7, 7}));
+  cv::morphologyEx(coarse, ground, cv::MORPH_OPEN, cv::getStructuringElement(cv::MORPH_ELLIPSE, {7, 7}));
   cv::GaussianBlur(ground, ground, {}, 2.0);
   world.ground_height = cv::mean(ground)[0];
   if (!map_file.empty()) {
