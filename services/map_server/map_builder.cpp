@@ -14,6 +14,7 @@
 #include <spdlog/spdlog.h>
 
 #include "common/features/fixed_sift.h"
+#include "common/features/orientation_field.h"
 #include "common/features/warp.h"
 #include "common/geo/raster.h"
 #include "services/map_server/ground_surface.h"
@@ -102,10 +103,11 @@ class BlockBuilder {
         static_cast<int>(std::ceil((bounds.north_max - description_.north_min) / options.tile_size_m - 1e-6));
     description_.east_max = description_.east_min + description_.tile_columns * options.tile_size_m;
     description_.north_max = description_.north_min + description_.tile_rows * options.tile_size_m;
-    const bool grid = options.features == FeatureKind::kGrid;
+    const bool grid = options.features != FeatureKind::kSift;
     description_.keypoint_size = grid ? options.keypoint_size : 0;
     description_.keypoint_stride = grid ? options.keypoint_stride : 0;
     description_.has_surface = surface_.has_model();
+    description_.features = options.features;
   }
 
   const MapDescription& description() const { return description_; }
@@ -125,9 +127,12 @@ class BlockBuilder {
     if (block.grey.empty() || cv::countNonZero(block.valid) == 0) return result;
     std::vector<cv::Point2f> points;
     cv::Mat descriptors;
-    if (options_.features == FeatureKind::kGrid) {
+    if (options_.features != FeatureKind::kSift) {
       points = interest_points(block, tiles, result);
-      descriptors = sift_.describe(fill_invalid(block.grey, block.valid), points);
+      const cv::Mat filled = fill_invalid(block.grey, block.valid);
+      descriptors = options_.features == FeatureKind::kGrid
+                        ? sift_.describe(filled, points)
+                        : OrientationField(filled, {.keypoint_size = options_.keypoint_size}).describe(points);
     } else {
       DetectedSift detected = detect_sift(fill_invalid(block.grey, block.valid));
       points = std::move(detected.points);
@@ -179,7 +184,9 @@ class BlockBuilder {
 
   // Resamples the raster where `tiles` and the margin around them lie.
   Block resample(const cv::Rect& tiles) const {
-    const int margin = options_.features == FeatureKind::kGrid ? sift_.support() : kDetectorMargin;
+    const int margin = options_.features == FeatureKind::kGrid   ? sift_.support()
+                       : options_.features == FeatureKind::kSift ? kDetectorMargin
+                                                                 : orientation_margin(options_.keypoint_size);
     const double tile = options_.tile_size_m;
     const double west = description_.east_min + tiles.x * tile;
     const double south = description_.north_min + tiles.y * tile;
@@ -278,7 +285,7 @@ std::optional<std::filesystem::path> elevation_model(const std::filesystem::path
 
 std::string build_fingerprint(const std::filesystem::path& raster, const BuildOptions& options) {
   Checksum checksum;
-  checksum.add(fmt::format("onmap 1 {} {} {} {} {} {} {}", static_cast<int>(options.features), options.keypoint_stride,
+  checksum.add(fmt::format("onmap 2 {} {} {} {} {} {} {}", static_cast<int>(options.features), options.keypoint_stride,
                            options.keypoint_size, options.metres_per_pixel, options.tile_size_m,
                            options.max_invalid_fraction, options.ground_height_m));
   add_file(checksum, raster);
@@ -342,7 +349,7 @@ std::filesystem::path prepare_map(const std::filesystem::path& map, const BuildO
                                   const std::function<void(double)>& progress) {
   if (map.extension() == ".onmap") return map;
   std::filesystem::path cache = map;
-  cache += options.features == FeatureKind::kGrid ? ".onmap" : ".sift.onmap";
+  cache += fmt::format(".{}.onmap", name_of(options.features));
   if (std::filesystem::exists(cache)) {
     try {
       if (MapDatabase(cache).description().fingerprint == build_fingerprint(map, options)) return cache;

@@ -40,7 +40,7 @@ BuildResult build_map(const std::filesystem::path& raster, const BuildOptions& o
                       const std::filesystem::path& out, const std::function<void(double)>& progress);
 
 // A database of this raster and these options: `raster` itself when it is an .onmap file; else the one kept beside the
-// raster (<raster>.onmap, or <raster>.sift.onmap), built first when it is missing, unreadable or of another
+// raster (<raster>.<features>.onmap), built first when it is missing, unreadable or of another
 // fingerprint. Returns the database's file. Throws as build_map does.
 std::filesystem::path prepare_map(const std::filesystem::path& map, const BuildOptions& options,
                                   const std::function<void(double)>& progress);

@@ -23,7 +23,7 @@ static_assert(std::endian::native == std::endian::little, "the .onmap format is 
 static_assert(sizeof(Eigen::Vector3f) == 3 * sizeof(float));
 
 constexpr std::array<char, 8> kMagic = {'O', 'N', 'M', 'A', 'P', '\r', '\n', '\x1a'};
-constexpr uint32_t kVersion = 1;
+constexpr uint32_t kVersion = 2;
 constexpr int kDescriptorBytes = 128;
 constexpr size_t kFeatureBytes = sizeof(Eigen::Vector3f) + kDescriptorBytes;
 constexpr int kMaxTiles = 100'000'000;
@@ -43,10 +43,12 @@ struct Header {
   int32_t tile_columns, tile_rows;
   int32_t descriptor_bytes;
   int32_t has_surface;
+  int32_t features;  // a FeatureKind
+  int32_t unused;
   uint64_t index_checksum;
   uint64_t header_checksum;  // of all members before
 };
-static_assert(std::is_trivially_copyable_v<Header> && sizeof(Header) == 168);
+static_assert(std::is_trivially_copyable_v<Header> && sizeof(Header) == 176);
 
 struct IndexEntry {
   uint64_t offset;
@@ -129,7 +131,8 @@ void MapDatabase::open() {
     damaged(file_, fmt::format("of format version {}, this program reads version {}", header.version, kVersion));
   }
   if (header.header_checksum != header_checksum(header) || header.header_bytes != sizeof(Header) ||
-      header.descriptor_bytes != kDescriptorBytes) {
+      header.descriptor_bytes != kDescriptorBytes || header.features < 0 ||
+      header.features > static_cast<int32_t>(FeatureKind::kRootSift)) {
     damaged(file_, "damaged (header)");
   }
   if (header.file_bytes != size_) {
@@ -171,6 +174,7 @@ void MapDatabase::open() {
   description_.tile_columns = header.tile_columns;
   description_.tile_rows = header.tile_rows;
   description_.has_surface = header.has_surface != 0;
+  description_.features = static_cast<FeatureKind>(header.features);
 }
 
 MapDatabase::~MapDatabase() {
@@ -261,6 +265,7 @@ void MapDatabaseWriter::finish() {
   header.tile_rows = description_.tile_rows;
   header.descriptor_bytes = kDescriptorBytes;
   header.has_surface = description_.has_surface ? 1 : 0;
+  header.features = static_cast<int32_t>(description_.features);
   header.index_checksum = checksum_of(index.data(), index.size() * sizeof(IndexEntry));
   header.header_checksum = header_checksum(header);
   out_.seekp(0);

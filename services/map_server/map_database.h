@@ -18,6 +18,7 @@
 #include <Eigen/Core>
 
 #include "common/geo/enu_frame.h"
+#include "services/map_server/options.h"
 
 namespace orthonav::map_server {
 
@@ -34,12 +35,13 @@ struct MapDescription {
   double metres_per_pixel = 0;
   double east_min = 0, east_max = 0, north_min = 0, north_max = 0;  // m in G, area of the tiles
   int64_t num_features = 0;
-  double keypoint_size = 0;    // map pixels; 0: chosen by the detector
-  double keypoint_stride = 0;  // map pixels; 0: chosen by the detector
-  double tile_size = 0;        // m
-  int tile_columns = 0;        // west to east
-  int tile_rows = 0;           // south to north
-  bool has_surface = false;    // heights come from an elevation model
+  double keypoint_size = 0;                   // map pixels; 0: chosen by the detector
+  double keypoint_stride = 0;                 // map pixels; 0: chosen by the detector
+  double tile_size = 0;                       // m
+  int tile_columns = 0;                       // west to east
+  int tile_rows = 0;                          // south to north
+  bool has_surface = false;                   // heights come from an elevation model
+  FeatureKind features = FeatureKind::kGrid;  // what the descriptors are
 
   int num_tiles() const { return tile_columns * tile_rows; }
   // Tile of a position of G, -1 outside the area.

@@ -76,6 +76,7 @@ void MapServerService::publish_info() {
   info.tile_columns = description.tile_columns;
   info.tile_rows = description.tile_rows;
   info.has_surface = description.has_surface ? 1 : 0;
+  info.features = name_of(description.features);
   node_.publish(channel::kMapInfo, info);
 }
 

@@ -2,12 +2,29 @@
 
 namespace orthonav::map_server {
 
+const char* name_of(FeatureKind kind) {
+  switch (kind) {
+    case FeatureKind::kSift:
+      return "sift";
+    case FeatureKind::kRootSift:
+      return "rootsift";
+    case FeatureKind::kGrid:
+      break;
+  }
+  return "grid";
+}
+
 BuildOptions BuildOptions::from_config(ConfigNode& node) {
   BuildOptions options;
-  std::string features = "grid";
+  std::string features = name_of(options.features);
   node.read("features", features);
-  if (features != "grid" && features != "sift") node.fail("features", "must be grid or sift");
-  options.features = features == "grid" ? FeatureKind::kGrid : FeatureKind::kSift;
+  bool known = false;
+  for (const FeatureKind kind : {FeatureKind::kRootSift, FeatureKind::kGrid, FeatureKind::kSift}) {
+    if (features != name_of(kind)) continue;
+    options.features = kind;
+    known = true;
+  }
+  if (!known) node.fail("features", "must be rootsift, grid or sift");
   node.read("keypoint_stride", options.keypoint_stride, 1, 1000);
   node.read("keypoint_size", options.keypoint_size, 2, 128);
   node.read("metres_per_pixel", options.metres_per_pixel, 0, 100);

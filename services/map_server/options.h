@@ -9,9 +9,11 @@
 namespace orthonav::map_server {
 
 enum class FeatureKind {
-  kGrid,  // interest points on a grid, SIFT at fixed orientation and size: methods "paper" and "m1"
-  kSift,  // the SIFT detector's own keypoints: method "m2"
+  kGrid,      // interest points on a grid, OpenCV's SIFT at fixed orientation and size: methods "paper" and "m1"
+  kSift,      // the SIFT detector's own keypoints: method "m2"
+  kRootSift,  // interest points on a grid, described by an OrientationField: method "submap"
 };
+const char* name_of(FeatureKind kind);  // as in map_server.yaml
 
 struct BuildOptions {
   FeatureKind features = FeatureKind::kGrid;

@@ -1,6 +1,7 @@
 #include "services/registration/keyframe_message.h"
 
 #include <algorithm>
+#include <cmath>
 #include <limits>
 
 namespace orthonav::registration {
@@ -61,6 +62,15 @@ void fill_fix(const Fix& fix, const EnuFrame& frame, map_fix_t& out) {
   out.num_candidates = fix.num_candidates;
   out.num_inliers = fix.num_inliers;
   out.num_second_inliers = fix.num_second_inliers;
+  out.scale = fix.scale;
+  out.scale_stddev = fix.scale_stddev;
+  out.heading_correction = fix.heading_correction;
+  out.heading_correction_stddev = fix.heading_correction_stddev;
+  out.height_stddev = fix.valid ? std::sqrt(fix.covariance(2, 2)) : kNan;
+  out.log_likelihood = fix.log_likelihood;
+  out.log_likelihood_ratio = fix.log_likelihood_ratio;
+  out.search_radius = fix.search_radius;
+  out.num_keyframes = fix.num_keyframes;
   out.matches.clear();
   for (const Pair& pair : fix.pairs) {
     map_match_t match{};

@@ -16,11 +16,6 @@ namespace {
 constexpr double kMinSide = 32;
 constexpr double kMaxSide = 6000;
 
-bool finite(const TrackedPoint& point) {
-  return point.pixel.allFinite() && point.ray_C.allFinite() && point.p_W.allFinite() && point.ray_C.z() > 1e-6 &&
-         std::isfinite(point.reprojection_error);
-}
-
 Eigen::Matrix2d rotation2(double angle) {
   return Eigen::Rotation2Dd(angle).toRotationMatrix();
 }
@@ -52,7 +47,7 @@ void describe_points(const Keyframe& keyframe, const cv::Mat& turned, const MapG
   std::vector<cv::Point2f> pixels;
   for (size_t i = 0; i < keyframe.points.size(); ++i) {
     const TrackedPoint& point = keyframe.points[i];
-    if (!finite(point) || point.reprojection_error > options.max_reprojection_error) continue;
+    if (!usable(point) || point.reprojection_error > options.max_reprojection_error) continue;
     const Eigen::Vector2d ray = point.ray_C.head<2>() / point.ray_C.z();
     const Eigen::Vector2d pixel = query.similarity.apply(ray);
     if (!(pixel.x() >= 0 && pixel.y() >= 0 && pixel.x() < turned.cols && pixel.y() < turned.rows)) continue;
@@ -76,6 +71,25 @@ void drop_featureless(Query& query) {
   query.descriptors = descriptors;
 }
 
+}  // namespace
+
+QueryOptions QueryOptions::from_config(ConfigNode& node) {
+  QueryOptions options;
+  ConfigNode query = node.child_or_empty("query");
+  query.read("max_reprojection_error", options.max_reprojection_error, 0, 100);
+  query.read("min_points", options.min_points, 6, 10000);
+  double max_tilt_deg = options.max_tilt * 180 / M_PI;
+  query.read("max_tilt_deg", max_tilt_deg, 0, 80);
+  options.max_tilt = max_tilt_deg * M_PI / 180;
+  query.finish();
+  return options;
+}
+
+bool usable(const TrackedPoint& point) {
+  return point.pixel.allFinite() && point.ray_C.allFinite() && point.p_W.allFinite() && point.ray_C.z() > 1e-6 &&
+         std::isfinite(point.reprojection_error);
+}
+
 std::string reason_to_refuse(const Keyframe& keyframe, const cv::Mat& image, const CameraModel& camera,
                              double true_heading) {
   if (!keyframe.p_W_B.allFinite() || !keyframe.q_W_B.coeffs().allFinite() ||
@@ -95,8 +109,6 @@ std::string reason_to_refuse(const Keyframe& keyframe, const cv::Mat& image, con
   }
   return {};
 }
-
-}  // namespace
 
 Eigen::Matrix3d rotation_G_W(const Eigen::Quaterniond& q_W_B, double true_heading) {
   // Headings run clockwise, rotations about z counter-clockwise.

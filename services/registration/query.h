@@ -13,6 +13,7 @@
 #include <opencv2/core.hpp>
 
 #include "common/camera/camera_model.h"
+#include "common/config/config.h"
 #include "common/features/fixed_sift.h"
 #include "services/registration/types.h"
 
@@ -22,6 +23,9 @@ struct QueryOptions {
   double max_reprojection_error = 8;  // pixels; points with more are left out
   int min_points = 20;                // a keyframe needs more than this number of points
   double max_tilt = M_PI / 4;         // rad, of the optical axis from the vertical: beyond, one similarity cannot fit
+
+  // Reads `query` of registration.yaml. Throws ConfigError.
+  static QueryOptions from_config(ConfigNode& node);
 };
 
 // The rotation about z that takes W to G, (7): so that the body's x axis has this true heading.
@@ -44,6 +48,13 @@ struct ImageSimilarity {
 // Throws std::invalid_argument when the camera does not look down or the image would be unreasonably large or small.
 ImageSimilarity view_similarity(const CameraModel& camera, const Eigen::Matrix3d& R_G_C, double height,
                                 double metres_per_pixel, double max_tilt);
+
+// Whether all numbers of a point are finite and it lies before the camera.
+bool usable(const TrackedPoint& point);
+
+// Why a keyframe or its image cannot be used at all; empty when they can.
+std::string reason_to_refuse(const Keyframe& keyframe, const cv::Mat& image, const CameraModel& camera,
+                             double true_heading);
 
 // One queried feature, Q_k of equation (6).
 struct QueryPoint {

@@ -28,6 +28,10 @@ const char* name_of(Method method) {
   return "paper";
 }
 
+const char* features_for(Method method) {
+  return method == Method::kM2 ? "sift" : "grid";
+}
+
 RegistrarOptions RegistrarOptions::from_config(ConfigNode& node) {
   RegistrarOptions options;
   std::string method = name_of(options.method);
@@ -40,13 +44,7 @@ RegistrarOptions RegistrarOptions::from_config(ConfigNode& node) {
     node.fail("method", "must be paper, m1 or m2");
   }
 
-  ConfigNode query = node.child_or_empty("query");
-  query.read("max_reprojection_error", options.query.max_reprojection_error, 0, 100);
-  query.read("min_points", options.query.min_points, 6, 10000);
-  double max_tilt_deg = options.query.max_tilt / kRadian;
-  query.read("max_tilt_deg", max_tilt_deg, 0, 80);
-  options.query.max_tilt = max_tilt_deg * kRadian;
-  query.finish();
+  options.query = QueryOptions::from_config(node);
 
   ConfigNode matcher = node.child_or_empty("matcher");
   matcher.read("trees", options.matcher.trees, 1, 64);

@@ -21,6 +21,7 @@
 
 #include "common/camera/camera_model.h"
 #include "common/config/config.h"
+#include "services/registration/fix.h"
 #include "services/registration/matcher.h"
 #include "services/registration/query.h"
 #include "services/registration/types.h"
@@ -30,6 +31,8 @@ namespace orthonav::registration {
 
 enum class Method { kPaper, kM1, kM2 };
 const char* name_of(Method method);
+// Kind of map features it compares, as map_info_t names them.
+const char* features_for(Method method);
 
 // Standard deviations that the covariance of a fix is made of, beside the scatter of its matches.
 struct ErrorModel {
@@ -53,28 +56,6 @@ struct RegistrarOptions {
 
   // Reads `method`, `query`, `matcher`, `voting`, `pose` and `errors` of registration.yaml. Throws ConfigError.
   static RegistrarOptions from_config(ConfigNode& node);
-};
-
-// A pair of a fix, for inspection.
-struct Pair {
-  int64_t feature_id = -1;                           // of the tracked point, -1: a point of the detector
-  Eigen::Vector2d pixel = Eigen::Vector2d::Zero();   // raw image
-  Eigen::Vector2d map_en = Eigen::Vector2d::Zero();  // m in G
-  double residual = 0;                               // m
-};
-
-struct Fix {
-  bool valid = false;
-  std::string reason;                               // why not; empty when valid
-  Eigen::Vector3d p_G_B = Eigen::Vector3d::Zero();  // m; meaningful when valid
-  Eigen::Quaterniond q_G_B = Eigen::Quaterniond::Identity();
-  Eigen::Matrix3d covariance = Eigen::Matrix3d::Zero();   // m^2, of p_G_B
-  Eigen::Vector2d translation = Eigen::Vector2d::Zero();  // m: t of (8), m1 and m2: where the image's centre lies
-  int num_query = 0;
-  int num_candidates = 0;
-  int num_inliers = 0;
-  int num_second_inliers = 0;
-  std::vector<Pair> pairs;  // inliers, also of a refused fix
 };
 
 class Registrar {

@@ -114,10 +114,10 @@ void RegistrationService::handle(const map_info_t& info) {
                                 std::isfinite(info.anchor_height))) {
     map_problem_ = "map's pixel size, keypoint size or anchor is out of range";
   }
-  const bool wants_detected = options_.registrar.method == Method::kM2;
-  if (map_problem_.empty() && detected != wants_detected) {
-    map_problem_ = fmt::format("method {} needs a map with features: {} (map_server.yaml)",
-                               name_of(options_.registrar.method), wants_detected ? "sift" : "grid");
+  const char* wanted = features_for(options_.registrar.method);
+  if (map_problem_.empty() && info.features != wanted) {
+    map_problem_ = fmt::format("method {} needs a map with features: {} (map_server.yaml), this one has {}",
+                               name_of(options_.registrar.method), wanted, info.features);
   }
   if (map_problem_.empty()) {
     info_ = info;

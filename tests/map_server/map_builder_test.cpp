@@ -258,7 +258,7 @@ TEST_F(MapOfOneGround, KeepsTheDatabaseBesideTheRasterUntilSomethingChanges) {
   const auto count = [&](double done) { builds += done == 1.0 ? 1 : 0; };
   BuildOptions options;
   const auto file = prepare_map(raster, options, count);
-  EXPECT_EQ(file, raster.string() + ".onmap");
+  EXPECT_EQ(file, raster.string() + ".grid.onmap");
   EXPECT_EQ(prepare_map(raster, options, count), file);
   EXPECT_EQ(builds, 1);
   options.keypoint_size = 16;

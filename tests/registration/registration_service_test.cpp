@@ -39,6 +39,7 @@ class FakeMapServer {
     info_.descriptor_size = 128;
     info_.keypoint_size = 8;
     info_.keypoint_stride = 10;
+    info_.features = "grid";
     info_.tile_size = 45;
     info_.east_max = 180;
     info_.north_min = -180;
@@ -266,12 +267,12 @@ TEST_F(RegistrationOnTheBus, GoesOnWithAnotherMap) {
 }
 
 TEST_F(RegistrationOnTheBus, SaysThatAMapIsOfNoUse) {
-  server_.info_.keypoint_size = 0;
+  server_.info_.features = "rootsift";
   server_.announce();
   pump();
   EXPECT_EQ(node_.health().state(), Health::State::kFailed);
   EXPECT_THAT(node_.health().message(), HasSubstr("features: grid"));
-  server_.info_.keypoint_size = 8;
+  server_.info_.features = "grid";
   server_.info_.num_features = 1LL << 40;
   server_.info_.fingerprint = "huge";
   server_.announce();

@@ -423,7 +423,7 @@ std::optional<Eigen::Vector2d> implied_position(const map_fix_t& fix, const vio_
   // Equation (7): the rotation about z that gives the body this heading. Headings grow clockwise.
   const Eigen::Matrix3d R_G_W =
       Eigen::AngleAxisd(heading_of(q_W_B) - fix.heading, Eigen::Vector3d::UnitZ()).toRotationMatrix();
-  if (fix.method == "paper") return Eigen::Vector2d((R_G_W * p_W_B).head<2>() + translation);
+  if (fix.method == "submap" || fix.method == "paper") return Eigen::Vector2d((R_G_W * p_W_B).head<2>() + translation);
   const Eigen::Matrix3d R_G_B = R_G_W * q_W_B.toRotationMatrix();
   const Eigen::Vector3d axis = R_G_B * (quaternion_of(keyframe.q_B_C) * Eigen::Vector3d::UnitZ());
   if (!(axis.z() < -0.1) || !std::isfinite(keyframe.height_above_ground)) return std::nullopt;

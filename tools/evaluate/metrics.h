@@ -117,7 +117,8 @@ struct Metrics {
 Metrics evaluate(const FlightRecord& record);
 
 // Horizontal position in the record's frame that a fix's best translation (8) implies, valid or not: the keyframe
-// turned by the heading and shifted ("paper"), or what the image's centre lies on, stepped back along the optical axis
+// turned by the heading and shifted ("submap", "paper"), or what the image's centre lies on, stepped back along the
+// optical axis
 // ("m1", "m2"). nullopt when the message does not say.
 std::optional<Eigen::Vector2d> implied_position(const map_fix_t& fix, const vio_keyframe_t& keyframe);
 

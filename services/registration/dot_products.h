@@ -1,0 +1,24 @@
+// Similarities of a descriptor to many: dot products of bytes, exact, with the widest instructions the machine has.
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+
+#include "services/registration/map_index.h"
+
+namespace orthonav::registration {
+
+// Product of two descriptors of kSiftBytes.
+int32_t dot_product(const uint8_t* a, const uint8_t* b);
+
+// out[i] = product of `query` with column i of a coarse row of the index, i < count. `row` points at the first column's
+// first component; the components are `stride` bytes apart.
+void coarse_products(const uint8_t* query, const uint8_t* row, size_t stride, size_t count, uint16_t* out);
+
+// What products say: out[i] = min(limit, max(0, a product + b)^2).
+void evidence_of(const uint16_t* products, size_t count, float a, float b, float limit, float* out);
+
+// sum[i] += values[i].
+void add(const float* values, size_t count, float* sum);
+
+}  // namespace orthonav::registration

@@ -1,0 +1,76 @@
+// The map's features as the grid they are, and a coarse copy of it for searches over all of it.
+//
+// The features of a grid lie where G's east and north are multiples of the stride, so the feature below any place is
+// found by its index. The coarse copy holds every second feature in each direction, with the 4 x 4 histograms of its
+// descriptor added up to 2 x 2: 32 bytes in place of 128, for a quarter of the features. It is laid out component by
+// component, so that one instruction compares one component of many features.
+//
+// Immutable after construction.
+#pragma once
+
+#include <cstdint>
+#include <vector>
+
+#include <Eigen/Core>
+#include <opencv2/core.hpp>
+
+#include "services/registration/types.h"
+
+namespace orthonav::registration {
+
+inline constexpr int kCoarseBytes = 32;
+// Length of a coarse descriptor: a product of two stays below 2^16, and so does every partial sum of one.
+inline constexpr double kCoarseLength = 255;
+
+// Adds up 2 x 2 histograms of a RootSIFT descriptor, which are sums of gradients again once squared.
+void coarsen(const uint8_t* descriptor, uint8_t* coarse);
+
+class MapIndex {
+ public:
+  // Takes the features. Throws std::invalid_argument when there are none, their descriptors are not of kSiftBytes,
+  // they are no grid of geometry's stride, or it spans more than a hundred million cells.
+  MapIndex(MapFeatures features, const MapGeometry& geometry);
+
+  int rows() const { return rows_; }        // from north to south
+  int columns() const { return columns_; }  // from west to east
+  double pitch() const { return pitch_; }   // m between neighbours
+  // East and north of the feature of a cell, m, whether there is one or not.
+  Eigen::Vector2d place(int row, int column) const { return origin_ + pitch_ * Eigen::Vector2d(column, -row); }
+  // Column and row, with fractions, of a place.
+  Eigen::Vector2d cell(const Eigen::Vector2d& en) const {
+    return {(en.x() - origin_.x()) / pitch_, (origin_.y() - en.y()) / pitch_};
+  }
+
+  // Feature of a cell, -1 where there is none or outside.
+  int feature(int row, int column) const {
+    if (row < 0 || column < 0 || row >= rows_ || column >= columns_) return -1;
+    return cells_[static_cast<size_t>(row) * static_cast<size_t>(columns_) + static_cast<size_t>(column)];
+  }
+  int num_features() const { return descriptors_.rows; }
+  const uint8_t* descriptor(int feature) const { return descriptors_.ptr(feature); }
+  const Eigen::Vector3f& position(int feature) const { return positions_[static_cast<size_t>(feature)]; }
+
+  int coarse_rows() const { return (rows_ + 1) / 2; }
+  int coarse_columns() const { return (columns_ + 1) / 2; }
+  // One row of the coarse grid: kCoarseBytes times coarse_columns() bytes; zeros where there is no feature.
+  const uint8_t* coarse_row(int row) const {
+    return &coarse_[static_cast<size_t>(row) * kCoarseBytes * static_cast<size_t>(coarse_columns())];
+  }
+
+  // Features spread evenly over the map, to learn how similar a descriptor is to what is not its place.
+  const std::vector<int>& sample() const { return sample_; }
+  const cv::Mat& coarse_sample() const { return coarse_sample_; }  // their coarse descriptors, laid out as coarse_row
+
+ private:
+  std::vector<Eigen::Vector3f> positions_;
+  cv::Mat descriptors_;
+  double pitch_;
+  Eigen::Vector2d origin_ = Eigen::Vector2d::Zero();  // east and north of cell (0, 0)
+  int rows_ = 0, columns_ = 0;
+  std::vector<int32_t> cells_;
+  std::vector<uint8_t> coarse_;
+  std::vector<int> sample_;
+  cv::Mat coarse_sample_;
+};
+
+}  // namespace orthonav::registration

@@ -1,0 +1,323 @@
+#include "services/registration/place_fit.h"
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+
+#include <Eigen/Cholesky>
+
+#include "common/math/so3.h"
+#include "common/math/statistics.h"
+#include "services/registration/dot_products.h"
+
+namespace orthonav::registration {
+namespace {
+
+// A residual is never believed to be better than this, m.
+constexpr double kMinResidual = 0.15;
+// Weight below which a match is no inlier.
+constexpr double kInlierWeight = 0.1;
+
+// Geman-McClure: falls to 0 for residuals well beyond `width`.
+double robust_weight(double squared, double width) {
+  const double part = 1 / (1 + squared / (width * width));
+  return part * part;
+}
+
+const ViewPoint& point_of(const std::vector<const View*>& views, const PlacedPoint& placed) {
+  return views[static_cast<size_t>(placed.view)]->points[static_cast<size_t>(placed.point)];
+}
+
+// Offset from the newest body in G, before scale.
+Eigen::Vector2d lever_of(const std::vector<const View*>& views, const PlacedPoint& placed, double turn) {
+  return Alignment{turn, 1}.offset(views.front()->yaw, point_of(views, placed).p_W, views.front()->keyframe.p_W_B);
+}
+
+// The best-looking map feature within `reach` cells of where the fit puts each point.
+std::vector<PlacedPoint> associate(const std::vector<const View*>& views, const MapIndex& index, const PlaceFit& fit,
+                                   double reach, double min_excess) {
+  std::vector<PlacedPoint> matches;
+  const int cells = static_cast<int>(std::ceil(reach));
+  for (size_t k = 0; k < views.size(); ++k) {
+    for (size_t i = 0; i < views[k]->points.size(); ++i) {
+      const ViewPoint& point = views[k]->points[i];
+      const Eigen::Vector2d cell =
+          index.cell(fit.en + fit.alignment.offset(views.front()->yaw, point.p_W, views.front()->keyframe.p_W_B));
+      const int row = static_cast<int>(std::lround(cell.y()));
+      const int column = static_cast<int>(std::lround(cell.x()));
+      PlacedPoint best;
+      double most = min_excess;
+      for (int v = row - cells; v <= row + cells; ++v) {
+        for (int u = column - cells; u <= column + cells; ++u) {
+          const int feature = index.feature(v, u);
+          if (feature < 0 || std::hypot(u - cell.x(), v - cell.y()) > reach) continue;
+          const double excess =
+              point.background.excess(dot_product(point.descriptor.data(), index.descriptor(feature)));
+          if (excess <= most) continue;
+          most = excess;
+          best.feature = feature;
+        }
+      }
+      if (best.feature < 0) continue;
+      best.view = static_cast<int>(k);
+      best.point = static_cast<int>(i);
+      best.en = index.position(best.feature).head<2>().cast<double>();
+      best.ground = index.position(best.feature).z();
+      matches.push_back(best);
+    }
+  }
+  return matches;
+}
+
+// Robust least squares of place, turn and log scale, the residuals' width shrinking from `first` to `last` m.
+void solve(const std::vector<const View*>& views, double first, double last, const FitOptions& options,
+           const Alignment& prior, PlaceFit& fit) {
+  constexpr int kIterations = 12;
+  Eigen::Matrix4d information = Eigen::Matrix4d::Identity();
+  for (int iteration = 0; iteration < kIterations; ++iteration) {
+    const double width = std::max(last, first * std::pow(0.75, iteration));
+    information.setZero();
+    Eigen::Vector4d gradient = Eigen::Vector4d::Zero();
+    double weights = 0, sum = 0;
+    for (PlacedPoint& placed : fit.points) {
+      const Eigen::Vector2d lever = fit.alignment.scale * lever_of(views, placed, fit.alignment.turn);
+      placed.residual = fit.en + lever - placed.en;
+      placed.weight = robust_weight(placed.residual.squaredNorm(), width);
+      Eigen::Matrix<double, 2, 4> jacobian;
+      jacobian << Eigen::Matrix2d::Identity(), Eigen::Vector2d(-lever.y(), lever.x()), lever;
+      information += placed.weight * jacobian.transpose() * jacobian;
+      gradient += placed.weight * jacobian.transpose() * placed.residual;
+      weights += placed.weight;
+      sum += placed.weight * placed.residual.squaredNorm();
+    }
+    // Variance of a match per axis; matches that err together count less.
+    const double variance = std::max(kMinResidual * kMinResidual, 0.5 * sum / std::max(1.0, weights));
+    const double trust = 1 / (variance * options.matches_per_observation);
+    information *= trust;
+    gradient *= trust;
+    const double turn_information = 1 / (options.heading_stddev * options.heading_stddev);
+    const double scale_information = 1 / (options.scale_stddev * options.scale_stddev);
+    information(2, 2) += turn_information;
+    gradient(2) += turn_information * (fit.alignment.turn - prior.turn);
+    information(3, 3) += scale_information;
+    gradient(3) += scale_information * std::log(fit.alignment.scale / prior.scale);
+    information.topLeftCorner<2, 2>() += 1e-9 * Eigen::Matrix2d::Identity();
+    const Eigen::Vector4d step = information.ldlt().solve(-gradient);
+    if (!step.allFinite()) return;
+    fit.en += step.head<2>();
+    fit.alignment.turn += step(2);
+    fit.alignment.scale *= std::exp(step(3));
+    fit.inliers = weights;
+    fit.rms = std::sqrt(sum / std::max(1e-9, weights));
+  }
+  const Eigen::Matrix4d covariance = information.inverse();
+  fit.turn_stddev = std::sqrt(covariance(2, 2));
+  fit.scale_stddev = std::sqrt(covariance(3, 3));
+  fit.ok = covariance.allFinite() && fit.inliers > 0;
+}
+
+// Aligns a point's descriptor to one map feature: shift in map pixels (east, south) from the point to where its image
+// looks like the feature. False when the similarity has no peak nearby.
+bool align(const View& view, const ViewPoint& point, const uint8_t* feature, Eigen::Vector2f& shift) {
+  constexpr float kStep = 2.5F;      // map pixels
+  constexpr float kFurthest = 3.5F;  // a peak further from the start is another one
+  std::array<uint8_t, kSiftBytes> descriptor{};
+  const auto similarity = [&](const Eigen::Vector2f& at) {
+    view.field->describe(point.pixel + point.jacobian * at, point.jacobian, descriptor.data());
+    return static_cast<float>(dot_product(descriptor.data(), feature));
+  };
+  const Eigen::Vector2f start = shift;
+  for (int iteration = 0; iteration < 2; ++iteration) {
+    const float centre = similarity(shift);
+    Eigen::Vector2f move;
+    for (int axis = 0; axis < 2; ++axis) {
+      const Eigen::Vector2f step = kStep * Eigen::Vector2f::Unit(axis);
+      const float before = similarity(shift - step);
+      const float after = similarity(shift + step);
+      const float curvature = before - 2 * centre + after;
+      if (!(curvature < 0)) return false;
+      move(axis) = std::clamp(0.5F * (before - after) / curvature, -1.0F, 1.0F) * kStep;
+    }
+    shift += move;
+  }
+  return (shift - start).norm() < kFurthest;
+}
+
+// Puts matches between the map's features: the features around where the fit puts the point, each aligned, averaged.
+void align_points(const std::vector<const View*>& views, const MapIndex& index, double metres_per_pixel,
+                  PlaceFit& fit) {
+  std::vector<PlacedPoint> aligned;
+  for (PlacedPoint placed : fit.points) {
+    if (placed.weight < kInlierWeight) continue;
+    const View& view = *views[static_cast<size_t>(placed.view)];
+    const ViewPoint& point = point_of(views, placed);
+    const Eigen::Vector2d expected = placed.en + placed.residual;
+    const Eigen::Vector2d cell = index.cell(expected);
+    const int row = static_cast<int>(std::floor(cell.y()));
+    const int column = static_cast<int>(std::floor(cell.x()));
+    Eigen::Vector2d sum = Eigen::Vector2d::Zero();
+    double ground = 0;
+    int count = 0;
+    for (int corner = 0; corner < 4; ++corner) {
+      const int feature = index.feature(row + corner / 2, column + corner % 2);
+      if (feature < 0) continue;
+      const Eigen::Vector2d en = index.position(feature).head<2>().cast<double>();
+      const Eigen::Vector2d offset = (en - expected) / metres_per_pixel;
+      Eigen::Vector2f shift(static_cast<float>(offset.x()), static_cast<float>(-offset.y()));
+      if (!align(view, point, index.descriptor(feature), shift)) continue;
+      sum += en - metres_per_pixel * Eigen::Vector2d(shift.x(), -shift.y());
+      ground += index.position(feature).z();
+      ++count;
+    }
+    if (count == 0) continue;
+    placed.en = sum / count;
+    placed.ground = ground / count;
+    aligned.push_back(placed);
+  }
+  fit.points = std::move(aligned);
+}
+
+// Height of the ground among lifts of points of which some lie above it (their lifts are less): the middle of the
+// densest half, and then of what lies within `spread` of it.
+double ground_level(std::vector<double> lifts, double spread) {
+  std::sort(lifts.begin(), lifts.end());
+  size_t begin = 0, size = lifts.size();
+  while (size > 3) {
+    const size_t half = (size + 1) / 2;
+    size_t best = begin;
+    for (size_t i = begin; i + half <= begin + size; ++i) {
+      if (lifts[i + half - 1] - lifts[i] < lifts[best + half - 1] - lifts[best]) best = i;
+    }
+    begin = best;
+    size = half;
+  }
+  const double mode = lifts[begin + size / 2];
+  double sum = 0;
+  int count = 0;
+  for (const double lift : lifts) {
+    if (std::abs(lift - mode) > spread) continue;
+    sum += lift;
+    ++count;
+  }
+  return sum / count;
+}
+
+}  // namespace
+
+PlaceFit fit_place(const std::vector<const View*>& views, const MapIndex& index, double metres_per_pixel,
+                   const Eigen::Vector2d& place, const Alignment& alignment, const Alignment& prior,
+                   const FitOptions& options) {
+  PlaceFit fit;
+  fit.en = place;
+  fit.alignment = alignment;
+  fit.points = associate(views, index, fit, 2.5, options.min_excess);
+  solve(views, 2 * index.pitch(), index.pitch(), options, prior, fit);
+  if (!fit.ok) return fit;
+  fit.points = associate(views, index, fit, 1.5, options.min_excess);
+  solve(views, index.pitch(), 0.7 * index.pitch(), options, prior, fit);
+  if (!fit.ok) return fit;
+  align_points(views, index, metres_per_pixel, fit);
+  solve(views, index.pitch(), 0.4 * index.pitch(), options, prior, fit);
+  return fit;
+}
+
+FittedPose fit_pose(const std::vector<const View*>& views, const PlaceFit& fit, const Alignment& prior,
+                    const FitOptions& options) {
+  FittedPose result;
+  std::vector<const PlacedPoint*> inliers;
+  for (const PlacedPoint& placed : fit.points) {
+    if (placed.weight >= kInlierWeight) inliers.push_back(&placed);
+  }
+  if (inliers.size() < 6) return result;
+  const View& newest = *views.front();
+  const Keyframe& keyframe = newest.keyframe;
+
+  // Heights: the odometry's points, scaled, lie on the map's ground or above it.
+  std::vector<double> lifts;
+  for (const PlacedPoint* placed : inliers) {
+    lifts.push_back(placed->ground - fit.alignment.scale * (point_of(views, *placed).p_W.z() - keyframe.p_W_B.z()));
+  }
+  const double level = ground_level(lifts, 0.02 * keyframe.height_above_ground);
+  std::vector<double> heights;  // of the map's points, m in G
+  double mean_drop = 0;         // of the points below the body, by the odometry
+  for (size_t i = 0; i < inliers.size(); ++i) {
+    heights.push_back(inliers[i]->ground + std::max(0.0, level - lifts[i]));
+    mean_drop += (keyframe.p_W_B.z() - point_of(views, *inliers[i]).p_W.z()) / static_cast<double>(inliers.size());
+  }
+
+  // Unknowns: position of the newest body, a turn of all the odometry's frame (in G), log of the scale.
+  Eigen::Vector3d p_G_B(fit.en.x(), fit.en.y(), level);
+  Eigen::Matrix3d R_G_W = Eigen::AngleAxisd(newest.yaw + fit.alignment.turn, Eigen::Vector3d::UnitZ()).matrix();
+  const Eigen::Matrix3d R_prior = Eigen::AngleAxisd(newest.yaw + prior.turn, Eigen::Vector3d::UnitZ()).matrix();
+  double log_scale = std::log(fit.alignment.scale);
+  Eigen::Matrix<double, 7, 7> information;
+  const double width = std::max(0.5, 2 * fit.rms);
+  for (int iteration = 0; iteration < 6; ++iteration) {
+    information.setZero();
+    Eigen::Matrix<double, 7, 1> gradient = Eigen::Matrix<double, 7, 1>::Zero();
+    double weights = 0, sum = 0;
+    const double scale = std::exp(log_scale);
+    for (size_t i = 0; i < inliers.size(); ++i) {
+      const View& view = *views[static_cast<size_t>(inliers[i]->view)];
+      const Keyframe& own = view.keyframe;
+      const Eigen::Matrix3d R_W_B = own.q_W_B.toRotationMatrix();
+      const Eigen::Vector3d arm = own.p_W_B + R_W_B * own.extrinsics.p_B_C - keyframe.p_W_B;
+      // Views differ in the yaw assumed only as far as the compass does; the newest's counts for all.
+      const Eigen::Matrix3d R_C_W = (R_W_B * own.extrinsics.R_B_C).transpose();
+      const Eigen::Vector3d point_G(inliers[i]->en.x(), inliers[i]->en.y(), heights[i]);
+      const Eigen::Vector3d from_body_G = point_G - p_G_B;
+      const Eigen::Vector3d p_C = R_C_W * (R_G_W.transpose() * from_body_G - scale * arm);
+      if (!(p_C.z() > 1)) return result;
+      // In metres on the ground: the ray's miss times the depth.
+      const Eigen::Vector2d residual = p_C.head<2>() - p_C.z() * point_of(views, *inliers[i]).ray;
+      Eigen::Matrix<double, 2, 3> projection;
+      projection << Eigen::Matrix2d::Identity(), -point_of(views, *inliers[i]).ray;
+      Eigen::Matrix<double, 3, 7> point;
+      point << -R_C_W * R_G_W.transpose(), R_C_W * R_G_W.transpose() * skew(from_body_G), -scale * R_C_W * arm;
+      const Eigen::Matrix<double, 2, 7> jacobian = projection * point;
+      const double weight = robust_weight(residual.squaredNorm(), width);
+      information += weight * jacobian.transpose() * jacobian;
+      gradient += weight * jacobian.transpose() * residual;
+      weights += weight;
+      sum += weight * residual.squaredNorm();
+    }
+    const double variance = std::max(kMinResidual * kMinResidual, 0.5 * sum / std::max(1.0, weights));
+    const double trust = 1 / (variance * options.matches_per_observation);
+    information *= trust;
+    gradient *= trust;
+    const auto add_prior = [&](const Eigen::Matrix<double, 7, 1>& row, double residual, double stddev) {
+      information += row * row.transpose() / (stddev * stddev);
+      gradient += row * residual / (stddev * stddev);
+    };
+    using Row = Eigen::Matrix<double, 7, 1>;
+    const Eigen::Vector3d turned = so3_log(Eigen::Quaterniond(R_G_W * R_prior.transpose()));
+    add_prior(Row::Unit(3), turned.x(), options.tilt_stddev);
+    add_prior(Row::Unit(4), turned.y(), options.tilt_stddev);
+    add_prior(Row::Unit(5), turned.z(), options.heading_stddev);
+    add_prior(Row::Unit(6), log_scale - std::log(prior.scale), options.scale_stddev);
+    // The body is above the ground by what the odometry says, scaled.
+    Row height = Row::Unit(2);
+    height(6) = -scale * mean_drop;
+    const double expected_height = level + (scale - fit.alignment.scale) * mean_drop;
+    add_prior(height, p_G_B.z() - expected_height, options.ground_height_stddev);
+    const Row step = information.ldlt().solve(-gradient);
+    if (!step.allFinite()) return result;
+    p_G_B += step.head<3>();
+    R_G_W = so3_exp(step.segment<3>(3)).toRotationMatrix() * R_G_W;
+    log_scale += step(6);
+  }
+  const Eigen::Matrix<double, 7, 7> covariance = information.inverse();
+  if (!covariance.allFinite()) return result;
+  result.p_G_B = p_G_B;
+  result.q_G_B = Eigen::Quaterniond(R_G_W * keyframe.q_W_B.toRotationMatrix()).normalized();
+  result.covariance = covariance.topLeftCorner<3, 3>();
+  result.covariance.topLeftCorner<2, 2>() += options.map_stddev * options.map_stddev * Eigen::Matrix2d::Identity();
+  result.scale = std::exp(log_scale);
+  result.scale_stddev = result.scale * std::sqrt(covariance(6, 6));
+  result.yaw = wrap_angle(newest.yaw + prior.turn + so3_log(Eigen::Quaterniond(R_G_W * R_prior.transpose())).z());
+  result.yaw_stddev = std::sqrt(covariance(5, 5));
+  result.ok = true;
+  return result;
+}
+
+}  // namespace orthonav::registration

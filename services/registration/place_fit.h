@@ -1,0 +1,72 @@
+// From a place on the map to a pose: the points' matches, aligned to a fraction of a pixel, and what fits them best.
+//
+// First in two dimensions: translation, a small turn and scale put the submap's points onto the map's features nearest
+// in looks, robustly and with what is known beforehand of heading and scale. Each match is then aligned: the point's
+// descriptor, shifted by fractions of a map pixel in its own image, is compared with that of the map features around
+// it, which puts the point between them. Last the pose of the newest body, (10), from the points' rays: PnP with the
+// direction of gravity, the heading, the odometry's scale and the map's heights as priors.
+#pragma once
+
+#include <string>
+#include <vector>
+
+#include <Eigen/Core>
+#include <Eigen/Geometry>
+
+#include "services/registration/map_index.h"
+#include "services/registration/place_search.h"
+#include "services/registration/view.h"
+
+namespace orthonav::registration {
+
+struct FitOptions {
+  double heading_stddev = 0.05;        // rad, of the compass
+  double scale_stddev = 0.025;         // of the odometry
+  double tilt_stddev = 0.005;          // rad per axis, of the odometry's vertical
+  double map_stddev = 0.5;             // m, each of east and north: georeferencing error of the map
+  double ground_height_stddev = 1.0;   // m, of the map's heights
+  double matches_per_observation = 5;  // so many matches count as one
+  double min_excess = 2.0;             // standard deviations of similarity a match has at least
+};
+
+// A point and the place on the map it was matched with.
+struct PlacedPoint {
+  int view = 0;   // 0 is the newest
+  int point = 0;  // in View::points
+  int feature = -1;
+  Eigen::Vector2d en = Eigen::Vector2d::Zero();        // m
+  double ground = 0;                                   // m, the map's height there
+  double weight = 1;                                   // of the robust fit, 0 ... 1
+  Eigen::Vector2d residual = Eigen::Vector2d::Zero();  // m
+};
+
+struct PlaceFit {
+  bool ok = false;
+  Eigen::Vector2d en = Eigen::Vector2d::Zero();  // m in G, of the newest body
+  Alignment alignment;
+  double turn_stddev = 0, scale_stddev = 0;
+  std::vector<PlacedPoint> points;
+  double inliers = 0;  // sum of the weights
+  double rms = 0;      // m, of the inliers
+};
+
+// `views` with the newest first, whose yaw alignments refer to. `place` and `alignment` are where to begin, `prior` is
+// what compass and odometry say, with the standard deviations of the options.
+PlaceFit fit_place(const std::vector<const View*>& views, const MapIndex& index, double metres_per_pixel,
+                   const Eigen::Vector2d& place, const Alignment& alignment, const Alignment& prior,
+                   const FitOptions& options);
+
+struct FittedPose {
+  bool ok = false;
+  Eigen::Vector3d p_G_B = Eigen::Vector3d::Zero();
+  Eigen::Quaterniond q_G_B = Eigen::Quaterniond::Identity();
+  Eigen::Matrix3d covariance = Eigen::Matrix3d::Zero();  // m^2
+  double scale = 1, scale_stddev = 0;
+  double yaw = 0, yaw_stddev = 0;  // rad, of W in G
+};
+
+// Throws nothing; ok is false when the equations cannot be solved.
+FittedPose fit_pose(const std::vector<const View*>& views, const PlaceFit& fit, const Alignment& prior,
+                    const FitOptions& options);
+
+}  // namespace orthonav::registration

@@ -1,0 +1,244 @@
+#include "services/registration/place_search.h"
+
+#include <algorithm>
+#include <cmath>
+
+#include <Eigen/Geometry>
+
+#include "services/registration/dot_products.h"
+
+namespace orthonav::registration {
+namespace {
+
+// Cells that a place may lie outside the map.
+constexpr int kOutside = 8;
+
+struct Cell {
+  int row = 0, column = 0;
+};
+
+Cell cell_offset(const Eigen::Vector2d& offset, double pitch) {
+  return {static_cast<int>(std::lround(-offset.y() / pitch)), static_cast<int>(std::lround(offset.x() / pitch))};
+}
+
+// Best cells of pictures of likelihoods, those within `separation` cells of a better one left out.
+struct Peak {
+  Cell cell;
+  size_t picture = 0;
+  double value = 0;
+};
+
+std::vector<Peak> best_peaks(const std::vector<std::vector<float>>& pictures, int rows, int columns, double separation,
+                             int count) {
+  const size_t size = static_cast<size_t>(rows) * static_cast<size_t>(columns);
+  std::vector<float> best(size, -1);
+  std::vector<uint16_t> from(size, 0);
+  for (size_t h = 0; h < pictures.size(); ++h) {
+    for (size_t i = 0; i < size; ++i) {
+      if (pictures[h][i] > best[i]) {
+        best[i] = pictures[h][i];
+        from[i] = static_cast<uint16_t>(h);
+      }
+    }
+  }
+  std::vector<Peak> peaks;
+  const int reach = static_cast<int>(std::ceil(separation));
+  while (static_cast<int>(peaks.size()) < count) {
+    const size_t at = static_cast<size_t>(std::max_element(best.begin(), best.end()) - best.begin());
+    if (!(best[at] > 0)) break;
+    const Cell cell{static_cast<int>(at) / columns, static_cast<int>(at) % columns};
+    peaks.push_back({cell, from[at], best[at]});
+    for (int row = std::max(0, cell.row - reach); row <= std::min(rows - 1, cell.row + reach); ++row) {
+      for (int column = std::max(0, cell.column - reach); column <= std::min(columns - 1, cell.column + reach);
+           ++column) {
+        if (std::hypot(row - cell.row, column - cell.column) > separation) continue;
+        best[static_cast<size_t>(row) * static_cast<size_t>(columns) + static_cast<size_t>(column)] = -1;
+      }
+    }
+  }
+  return peaks;
+}
+
+float evidence(const ViewPoint& point, const uint8_t* descriptor, const EvidenceOptions& options) {
+  const float excess =
+      point.background.excess(dot_product(point.descriptor.data(), descriptor)) - static_cast<float>(options.threshold);
+  return excess > 0 ? std::min(static_cast<float>(options.limit), excess * excess) : 0.0F;
+}
+
+}  // namespace
+
+Eigen::Vector2d Alignment::offset(double yaw, const Eigen::Vector3d& p_W, const Eigen::Vector3d& origin_W) const {
+  return scale * (Eigen::Rotation2Dd(yaw + turn) * (p_W - origin_W).head<2>());
+}
+
+std::vector<Alignment> alignments(const Alignment& expected, double turn_stddev, double scale_stddev, double lever,
+                                  double step) {
+  const auto steps = [&](double stddev) { return static_cast<int>(std::floor(2 * stddev * lever / step + 0.5)); };
+  const int turns = std::min(steps(turn_stddev), static_cast<int>(M_PI * lever / step));
+  const int scales = steps(scale_stddev);
+  std::vector<Alignment> result{expected};
+  for (int i = -turns; i <= turns; ++i) {
+    for (int j = -scales; j <= scales; ++j) {
+      if (i == 0 && j == 0) continue;
+      result.push_back({expected.turn + i * step / lever, expected.scale * (1 + j * step / lever)});
+    }
+  }
+  return result;
+}
+
+CoarseLikelihood coarse_likelihood(const View& view, const MapIndex& index, const std::vector<Alignment>& candidates,
+                                   const SearchArea& area, const EvidenceOptions& options) {
+  const double pitch = 2 * index.pitch();
+  int rows[2] = {-kOutside, index.coarse_rows() + kOutside};        // NOLINT
+  int columns[2] = {-kOutside, index.coarse_columns() + kOutside};  // NOLINT
+  if (std::isfinite(area.radius)) {
+    const Eigen::Vector2d centre = index.cell(area.centre) / 2;
+    const double reach = area.radius / pitch;
+    rows[0] = std::max(rows[0], static_cast<int>(std::floor(centre.y() - reach)));
+    rows[1] = std::min(rows[1], static_cast<int>(std::ceil(centre.y() + reach)) + 1);
+    columns[0] = std::max(columns[0], static_cast<int>(std::floor(centre.x() - reach)));
+    columns[1] = std::min(columns[1], static_cast<int>(std::ceil(centre.x() + reach)) + 1);
+  }
+  CoarseLikelihood result;
+  result.first_row = rows[0];
+  result.first_column = columns[0];
+  result.rows = std::max(0, rows[1] - rows[0]);
+  result.columns = std::max(0, columns[1] - columns[0]);
+  result.sums.assign(candidates.size(),
+                     std::vector<float>(static_cast<size_t>(result.rows) * static_cast<size_t>(result.columns), 0.0F));
+  if (result.rows == 0 || result.columns == 0) return result;
+
+  struct Points {
+    const ViewPoint* point;
+    std::vector<Cell> offsets;  // by alignment
+    int row[2], column[2];      // NOLINT: least and largest of them
+  };
+  std::vector<Points> points;
+  for (const ViewPoint& point : view.points) {
+    Points entry{&point, {}, {1 << 30, -(1 << 30)}, {1 << 30, -(1 << 30)}};
+    for (const Alignment& candidate : candidates) {
+      const Cell cell = cell_offset(candidate.offset(view.yaw, point.p_W, view.keyframe.p_W_B), pitch);
+      entry.offsets.push_back(cell);
+      entry.row[0] = std::min(entry.row[0], cell.row);
+      entry.row[1] = std::max(entry.row[1], cell.row);
+      entry.column[0] = std::min(entry.column[0], cell.column);
+      entry.column[1] = std::max(entry.column[1], cell.column);
+    }
+    points.push_back(std::move(entry));
+  }
+  const auto stride = static_cast<size_t>(index.coarse_columns());
+  std::vector<uint16_t> products(stride);
+  std::vector<float> weights(stride);
+  // Row by row of the map, so that a row stays in the cache while all points pass over it.
+  for (int row = 0; row < index.coarse_rows(); ++row) {
+    for (const Points& entry : points) {
+      if (row - entry.row[1] >= rows[1] || row - entry.row[0] < rows[0]) continue;
+      const int begin = std::max(0, columns[0] + entry.column[0]);
+      const int end = std::min(index.coarse_columns(), columns[1] + entry.column[1]);
+      if (begin >= end) continue;
+      const auto count = static_cast<size_t>(end - begin);
+      const Background& background = entry.point->coarse_background;
+      coarse_products(entry.point->coarse.data(), index.coarse_row(row) + begin, stride, count, products.data());
+      evidence_of(products.data(), count, 1 / background.stddev,
+                  -background.mean / background.stddev - static_cast<float>(options.threshold),
+                  static_cast<float>(options.limit), weights.data());
+      for (size_t h = 0; h < candidates.size(); ++h) {
+        const int place_row = row - entry.offsets[h].row - rows[0];
+        if (place_row < 0 || place_row >= result.rows) continue;
+        // Columns of the map that fall into the picture with this alignment.
+        const int first = std::max(begin, columns[0] + entry.offsets[h].column);
+        const int last = std::min(end, columns[1] + entry.offsets[h].column);
+        if (first >= last) continue;
+        add(&weights[static_cast<size_t>(first - begin)], static_cast<size_t>(last - first),
+            &result.sums[h][static_cast<size_t>(place_row) * static_cast<size_t>(result.columns) +
+                            static_cast<size_t>(first - entry.offsets[h].column - columns[0])]);
+      }
+    }
+  }
+  return result;
+}
+
+std::vector<PlaceCandidate> best_coarse_places(const std::vector<ShiftedLikelihood>& keyframes, const MapIndex& index,
+                                               const std::vector<Alignment>& candidates, double separation, int count) {
+  if (keyframes.empty()) return {};
+  const double pitch = 2 * index.pitch();
+  const CoarseLikelihood& newest = *keyframes.front().likelihood;
+  std::vector<std::vector<float>> sums = newest.sums;
+  for (size_t k = 1; k < keyframes.size(); ++k) {
+    const CoarseLikelihood& other = *keyframes[k].likelihood;
+    for (size_t h = 0; h < candidates.size(); ++h) {
+      // Where that keyframe's body was, seen from the newest.
+      const Cell shift =
+          cell_offset(candidates[h].offset(keyframes[k].yaw, keyframes[k].p_W_B, keyframes.front().p_W_B), pitch);
+      for (int row = 0; row < newest.rows; ++row) {
+        const int from = row + newest.first_row + shift.row - other.first_row;
+        if (from < 0 || from >= other.rows) continue;
+        const int move = newest.first_column + shift.column - other.first_column;
+        const int first = std::max(0, -move);
+        const int last = std::min(newest.columns, other.columns - move);
+        if (first >= last) continue;
+        add(&other.sums[h][static_cast<size_t>(from) * static_cast<size_t>(other.columns) +
+                           static_cast<size_t>(first + move)],
+            static_cast<size_t>(last - first),
+            &sums[h][static_cast<size_t>(row) * static_cast<size_t>(newest.columns) + static_cast<size_t>(first)]);
+      }
+    }
+  }
+  std::vector<PlaceCandidate> places;
+  for (const Peak& peak : best_peaks(sums, newest.rows, newest.columns, separation / pitch, count)) {
+    const Eigen::Vector2d en =
+        index.place(2 * (peak.cell.row + newest.first_row), 2 * (peak.cell.column + newest.first_column));
+    places.push_back({en, peak.picture, peak.value});
+  }
+  return places;
+}
+
+double likelihood_at(const std::vector<const View*>& views, const MapIndex& index, const Eigen::Vector2d& place,
+                     const Alignment& alignment, const EvidenceOptions& options) {
+  double sum = 0;
+  for (const View* view : views) {
+    for (const ViewPoint& point : view->points) {
+      const Eigen::Vector2d cell =
+          index.cell(place + alignment.offset(views.front()->yaw, point.p_W, views.front()->keyframe.p_W_B));
+      const int feature =
+          index.feature(static_cast<int>(std::lround(cell.y())), static_cast<int>(std::lround(cell.x())));
+      if (feature >= 0) sum += evidence(point, index.descriptor(feature), options);
+    }
+  }
+  return sum;
+}
+
+std::vector<PlaceCandidate> best_fine_places(const std::vector<const View*>& views, const MapIndex& index,
+                                             const std::vector<Alignment>& candidates, const Eigen::Vector2d& centre,
+                                             double radius, double separation, int count,
+                                             const EvidenceOptions& options) {
+  const int reach = static_cast<int>(std::ceil(radius / index.pitch()));
+  const int side = 2 * reach + 1;
+  std::vector<std::vector<float>> sums(candidates.size(),
+                                       std::vector<float>(static_cast<size_t>(side) * static_cast<size_t>(side), 0.0F));
+  for (const View* view : views) {
+    for (const ViewPoint& point : view->points) {
+      for (size_t h = 0; h < candidates.size(); ++h) {
+        const Eigen::Vector2d cell =
+            index.cell(centre + candidates[h].offset(views.front()->yaw, point.p_W, views.front()->keyframe.p_W_B));
+        const int row = static_cast<int>(std::lround(cell.y())) - reach;
+        const int column = static_cast<int>(std::lround(cell.x())) - reach;
+        for (int i = 0; i < side; ++i) {
+          for (int j = 0; j < side; ++j) {
+            const int feature = index.feature(row + i, column + j);
+            if (feature < 0) continue;
+            sums[h][static_cast<size_t>(i * side + j)] += evidence(point, index.descriptor(feature), options);
+          }
+        }
+      }
+    }
+  }
+  std::vector<PlaceCandidate> places;
+  for (const Peak& peak : best_peaks(sums, side, side, separation / index.pitch(), count)) {
+    const Eigen::Vector2d shift(peak.cell.column - reach, reach - peak.cell.row);
+    places.push_back({centre + index.pitch() * shift, peak.picture, peak.value});
+  }
+  return places;
+}
+
+}  // namespace orthonav::registration

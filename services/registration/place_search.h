@@ -1,0 +1,82 @@
+// Where on the map a submap can be: the likelihood of places, and the best of them.
+//
+// Equation (8) lets each match vote a translation. Here every map feature is a match, weighted by how much its
+// similarity stands out from what chance gives the point: the votes of all points with all features add up to the
+// likelihood of each place. A place is where the newest keyframe's body is above. What a wrong heading or scale would
+// do to the votes is covered by trying several of them.
+//
+// Over large areas the search works on the index' coarse grid first; the best places there are then compared at full
+// resolution. Around an expected place it works at full resolution at once.
+#pragma once
+
+#include <limits>
+#include <vector>
+
+#include <Eigen/Core>
+
+#include "services/registration/map_index.h"
+#include "services/registration/view.h"
+
+namespace orthonav::registration {
+
+// How the odometry's world may lie on the map other than assumed.
+struct Alignment {
+  double turn = 0;   // rad about z, counter-clockwise, on top of View::yaw
+  double scale = 1;  // true size over the odometry's
+
+  // Horizontal offset in G, m, of a point from an origin, both in W.
+  Eigen::Vector2d offset(double yaw, const Eigen::Vector3d& p_W, const Eigen::Vector3d& origin_W) const;
+};
+
+// Alignments two standard deviations to both sides, so close that points at a distance `lever` (m) move by no more than
+// `step` (m) between neighbours. The first is the expected one.
+std::vector<Alignment> alignments(const Alignment& expected, double turn_stddev, double scale_stddev, double lever,
+                                  double step);
+
+// Part of the map that is searched: a square around a place, m.
+struct SearchArea {
+  Eigen::Vector2d centre = Eigen::Vector2d::Zero();
+  double radius = std::numeric_limits<double>::infinity();
+};
+
+struct EvidenceOptions {
+  double threshold = 1.5;  // standard deviations above the mean from which a similarity counts
+  double limit = 9;        // the most that one point can say
+};
+
+// Likelihood of places on the coarse grid, one picture for each alignment.
+struct CoarseLikelihood {
+  int first_row = 0, first_column = 0, rows = 0, columns = 0;  // cells of the coarse grid
+  std::vector<std::vector<float>> sums;                        // rows x columns each
+};
+
+CoarseLikelihood coarse_likelihood(const View& view, const MapIndex& index, const std::vector<Alignment>& candidates,
+                                   const SearchArea& area, const EvidenceOptions& options);
+
+struct PlaceCandidate {
+  Eigen::Vector2d en = Eigen::Vector2d::Zero();  // m in G, of the newest body
+  size_t alignment = 0;                          // index
+  double likelihood = 0;
+};
+
+// Adds up the likelihoods of keyframes, each shifted to where it says the newest is, and gives the best places, the
+// best first, each at least `separation` (m) from those before it.
+struct ShiftedLikelihood {
+  const CoarseLikelihood* likelihood;
+  Eigen::Vector3d p_W_B;  // of its keyframe
+  double yaw;
+};
+std::vector<PlaceCandidate> best_coarse_places(const std::vector<ShiftedLikelihood>& keyframes, const MapIndex& index,
+                                               const std::vector<Alignment>& candidates, double separation, int count);
+
+// Log-likelihood of one place at full resolution.
+double likelihood_at(const std::vector<const View*>& views, const MapIndex& index, const Eigen::Vector2d& place,
+                     const Alignment& alignment, const EvidenceOptions& options);
+
+// Best places at full resolution within `radius` of `centre`, the best first and at least `separation` apart.
+std::vector<PlaceCandidate> best_fine_places(const std::vector<const View*>& views, const MapIndex& index,
+                                             const std::vector<Alignment>& candidates, const Eigen::Vector2d& centre,
+                                             double radius, double separation, int count,
+                                             const EvidenceOptions& options);
+
+}  // namespace orthonav::registration

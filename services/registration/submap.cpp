@@ -1,0 +1,257 @@
+#include "services/registration/submap.h"
+
+#include <algorithm>
+#include <cmath>
+#include <stdexcept>
+
+#include <fmt/format.h>
+
+#include "common/math/so3.h"
+
+namespace orthonav::registration {
+namespace {
+
+constexpr double kRadian = M_PI / 180;
+// Places of the coarse grid that are compared at full resolution.
+constexpr int kCoarsePlaces = 12;
+// Largest radius, m, that is searched at full resolution at once.
+constexpr double kFineRadius = 32;
+// How well a fix knows heading and scale for the next one, and how fast the odometry's scale may change.
+constexpr double kFittedTurnStddev = 0.7 * kRadian;
+constexpr double kFittedScaleStddev = 0.01;
+constexpr double kFittedShare = 0.3;
+
+// Root mean square of the points' horizontal distances from the body, m.
+double lever_of(const View& view) {
+  double sum = 0;
+  for (const ViewPoint& point : view.points) sum += (point.p_W - view.keyframe.p_W_B).head<2>().squaredNorm();
+  return std::sqrt(sum / std::max<double>(1.0, static_cast<double>(view.points.size())));
+}
+
+}  // namespace
+
+SubmapOptions SubmapOptions::from_config(ConfigNode& node) {
+  SubmapOptions options;
+  options.query = QueryOptions::from_config(node);
+  ConfigNode submap = node.child_or_empty("submap");
+  submap.read("max_keyframes", options.max_keyframes, 1, 100);
+  submap.read("search_heading", options.search_heading);
+  submap.read("bound_stddevs", options.bound_stddevs, 1, 100);
+  submap.read("min_radius", options.min_radius, 1, 1e6);
+  submap.read("widening", options.widening, 1, 10);
+  submap.read("second_distance", options.second_distance, 1, 1e6);
+  submap.read("min_likelihood_ratio", options.min_likelihood_ratio, 0, 1e6);
+  submap.read("min_inliers", options.min_inliers, 6, 10000);
+  submap.read("scale_stddev", options.fit.scale_stddev, 1e-4, 1);
+  double tilt_stddev_deg = options.fit.tilt_stddev / kRadian;
+  submap.read("tilt_stddev_deg", tilt_stddev_deg, 1e-3, 10);
+  options.fit.tilt_stddev = tilt_stddev_deg * kRadian;
+  submap.read("map_stddev", options.fit.map_stddev, 0, 100);
+  submap.read("ground_height_stddev", options.fit.ground_height_stddev, 1e-3, 1000);
+  submap.read("matches_per_observation", options.fit.matches_per_observation, 1, 1000);
+  submap.finish();
+  return options;
+}
+
+SubmapRegistrar::SubmapRegistrar(const SubmapOptions& options, const CameraModel& camera)
+    : options_(options), camera_(camera) {}
+
+void SubmapRegistrar::set_map(MapFeatures features, const MapGeometry& geometry) {
+  clear_map();
+  if (!(geometry.keypoint_size > 0)) throw std::invalid_argument("method submap needs a map with features: rootsift");
+  index_ = std::make_unique<MapIndex>(std::move(features), geometry);
+  geometry_ = geometry;
+}
+
+void SubmapRegistrar::clear_map() {
+  index_.reset();
+  keyframes_.clear();
+  session_ = -1;
+}
+
+std::vector<const View*> SubmapRegistrar::views() const {
+  std::vector<const View*> result;
+  result.reserve(keyframes_.size());
+  for (const Remembered& keyframe : keyframes_) result.push_back(keyframe.view.get());
+  return result;
+}
+
+bool SubmapRegistrar::describe(const Keyframe& keyframe, int session, const cv::Mat& image, const Heading& heading) {
+  if (!has_map()) throw std::logic_error("no map to register to");
+  if (session != session_) {
+    session_ = session;
+    keyframes_.clear();
+    num_headings_ = 0;
+    fitted_yaw_.reset();
+    fitted_scale_.reset();
+  }
+  places_.clear();
+  heading_ = heading;
+  refused_ = reason_to_refuse(keyframe, image, camera_, heading.value);
+  if (!refused_.empty()) return false;
+  const double odometry_heading = heading_of(keyframe.q_W_B);
+  const double yaw = wrap_angle(odometry_heading - heading.value);
+  ++num_headings_;
+  compass_yaw_ = num_headings_ == 1 ? yaw : compass_yaw_ + wrap_angle(yaw - compass_yaw_) / num_headings_;
+  auto view =
+      std::make_unique<View>(make_view(keyframe, image, camera_, odometry_heading - fitted_yaw_.value_or(compass_yaw_),
+                                       fitted_scale_.value_or(1.0), *index_, geometry_, options_.query));
+  refused_ = view->refused;
+  if (!refused_.empty()) return false;
+  keyframes_.push_front({std::move(view), std::nullopt});
+  if (static_cast<int>(keyframes_.size()) > options_.max_keyframes) keyframes_.pop_back();
+  return true;
+}
+
+Alignment SubmapRegistrar::expected() const {
+  const double yaw = keyframes_.front().view->yaw;
+  return {wrap_angle(fitted_yaw_.value_or(compass_yaw_) - yaw), fitted_scale_.value_or(1.0)};
+}
+
+void SubmapRegistrar::search(const std::optional<PositionPrior>& prior) {
+  if (!refused_.empty()) return;
+  const Eigen::Vector2d size = index_->pitch() * Eigen::Vector2d(index_->columns(), index_->rows());
+  radius_ = std::numeric_limits<double>::infinity();
+  if (prior && prior->en.allFinite() && std::isfinite(prior->stddev)) {
+    const double radius = std::max(options_.min_radius, options_.bound_stddevs * prior->stddev) *
+                          std::pow(options_.widening, std::min(without_fix_, 50));
+    if (radius < 0.5 * size.norm()) radius_ = radius;
+  }
+  if (std::isfinite(radius_)) {
+    search_around(*prior, radius_);
+  } else {
+    search_everywhere();
+  }
+}
+
+void SubmapRegistrar::search_everywhere() {
+  const double step = 2 * index_->pitch();
+  const bool known = fitted_yaw_.has_value();
+  const double turn_stddev = options_.search_heading && !known ? M_PI : known ? kFittedTurnStddev : heading_.stddev;
+  std::vector<Alignment> candidates =
+      alignments(expected(), turn_stddev, known ? kFittedScaleStddev : options_.fit.scale_stddev,
+                 1.5 * lever_of(*keyframes_.front().view), step);
+  const bool same = candidates.size() == alignments_.size();
+  for (Remembered& keyframe : keyframes_) {
+    if (!same) keyframe.everywhere.reset();
+  }
+  alignments_ = std::move(candidates);
+  std::vector<ShiftedLikelihood> all;
+  for (Remembered& keyframe : keyframes_) {
+    if (!keyframe.everywhere) {
+      keyframe.everywhere = coarse_likelihood(*keyframe.view, *index_, alignments_, {}, options_.evidence);
+    }
+    all.push_back({&*keyframe.everywhere, keyframe.view->keyframe.p_W_B, keyframes_.front().view->yaw});
+  }
+  compare_at_full_resolution(best_coarse_places(all, *index_, alignments_, options_.second_distance, kCoarsePlaces));
+}
+
+void SubmapRegistrar::search_around(const PositionPrior& prior, double radius) {
+  const bool known = fitted_yaw_.has_value();
+  const double turn_stddev = known ? kFittedTurnStddev : heading_.stddev;
+  const double scale_stddev = known ? kFittedScaleStddev : options_.fit.scale_stddev;
+  const double lever = 1.5 * lever_of(*keyframes_.front().view);
+  if (radius <= kFineRadius) {
+    alignments_ = alignments(expected(), turn_stddev, scale_stddev, lever, 1.5 * index_->pitch());
+    places_ = best_fine_places(views(), *index_, alignments_, prior.en, radius, options_.second_distance, 2,
+                               options_.evidence);
+    return;
+  }
+  alignments_ = alignments(expected(), turn_stddev, scale_stddev, lever, 2 * index_->pitch());
+  std::vector<CoarseLikelihood> likelihoods;
+  likelihoods.reserve(keyframes_.size());
+  std::vector<ShiftedLikelihood> all;
+  const View& newest = *keyframes_.front().view;
+  for (const View* view : views()) {
+    const Eigen::Vector2d back = expected().offset(newest.yaw, view->keyframe.p_W_B, newest.keyframe.p_W_B);
+    likelihoods.push_back(coarse_likelihood(*view, *index_, alignments_, {prior.en + back, radius}, options_.evidence));
+    all.push_back({&likelihoods.back(), view->keyframe.p_W_B, newest.yaw});
+  }
+  compare_at_full_resolution(best_coarse_places(all, *index_, alignments_, options_.second_distance, kCoarsePlaces));
+}
+
+void SubmapRegistrar::compare_at_full_resolution(const std::vector<PlaceCandidate>& coarse) {
+  places_.clear();
+  for (const PlaceCandidate& candidate : coarse) {
+    std::vector<PlaceCandidate> fine =
+        best_fine_places(views(), *index_, {alignments_[candidate.alignment]}, candidate.en, 3 * index_->pitch(),
+                         options_.second_distance, 1, options_.evidence);
+    for (PlaceCandidate& place : fine) {
+      place.alignment = candidate.alignment;
+      places_.push_back(place);
+    }
+  }
+  std::stable_sort(places_.begin(), places_.end(),
+                   [](const PlaceCandidate& a, const PlaceCandidate& b) { return a.likelihood > b.likelihood; });
+}
+
+Fix SubmapRegistrar::solve() {
+  Fix fix;
+  fix.reason = refused_;
+  fix.num_keyframes = static_cast<int>(keyframes_.size());
+  if (!fix.reason.empty()) return fix;
+  fix.search_radius = radius_;
+  const std::vector<const View*> submap = views();
+  const View& newest = *submap.front();
+  for (const View* view : submap) fix.num_query += static_cast<int>(view->points.size());
+  if (places_.empty()) {
+    ++without_fix_;
+    fix.reason = "no place on the map looks like the submap";
+    return fix;
+  }
+  const PlaceCandidate& best = places_.front();
+  fix.log_likelihood = best.likelihood;
+  fix.log_likelihood_ratio = best.likelihood;
+  for (const PlaceCandidate& other : places_) {
+    if ((other.en - best.en).norm() < options_.second_distance) continue;
+    fix.log_likelihood_ratio = best.likelihood - other.likelihood;
+    break;
+  }
+
+  FitOptions fit_options = options_.fit;
+  fit_options.heading_stddev = options_.search_heading ? M_PI : heading_.stddev;
+  const Alignment prior{wrap_angle(compass_yaw_ - newest.yaw), 1.0};
+  const PlaceFit fit =
+      fit_place(submap, *index_, geometry_.metres_per_pixel, best.en, alignments_[best.alignment], prior, fit_options);
+  const FittedPose pose = fit.ok ? fit_pose(submap, fit, prior, fit_options) : FittedPose{};
+  const double odometry_heading = heading_of(newest.keyframe.q_W_B);
+  const double yaw = pose.ok ? pose.yaw : wrap_angle(odometry_heading - heading_.value);
+  const Eigen::Vector2d en = pose.ok ? pose.p_G_B.head<2>() : best.en;
+  fix.translation = en - Eigen::Rotation2Dd(yaw) * newest.keyframe.p_W_B.head<2>();
+  fix.num_candidates = fix.num_query;
+  fix.num_inliers = static_cast<int>(fit.inliers);
+  for (const PlacedPoint& placed : fit.points) {
+    if (placed.view != 0 || placed.weight < 0.1) continue;
+    const TrackedPoint& tracked =
+        newest.keyframe.points[static_cast<size_t>(newest.points[static_cast<size_t>(placed.point)].index)];
+    fix.pairs.push_back({tracked.id, tracked.pixel, placed.en, placed.residual.norm()});
+  }
+  if (pose.ok) {
+    fix.p_G_B = pose.p_G_B;
+    fix.q_G_B = pose.q_G_B;
+    fix.covariance = pose.covariance;
+    fix.scale = pose.scale;
+    fix.scale_stddev = pose.scale_stddev;
+    fix.heading_correction = wrap_angle(odometry_heading - yaw - heading_.value);
+    fix.heading_correction_stddev = pose.yaw_stddev;
+  }
+  if (fix.log_likelihood_ratio < options_.min_likelihood_ratio) {
+    fix.reason = fmt::format("another place is nearly as likely: log-likelihood ratio {:.0f}, {:.0f} is needed",
+                             fix.log_likelihood_ratio, options_.min_likelihood_ratio);
+  } else if (fix.num_inliers < options_.min_inliers) {
+    fix.reason = fmt::format("{} inliers, {} are needed", fix.num_inliers, options_.min_inliers);
+  } else if (!pose.ok) {
+    fix.reason = "the matches give no pose";
+  }
+  fix.valid = fix.reason.empty();
+  if (!fix.valid) {
+    ++without_fix_;
+    return fix;
+  }
+  without_fix_ = 0;
+  fitted_yaw_ = fitted_yaw_ ? *fitted_yaw_ + kFittedShare * wrap_angle(pose.yaw - *fitted_yaw_) : pose.yaw;
+  fitted_scale_ = fitted_scale_ ? *fitted_scale_ + kFittedShare * (pose.scale - *fitted_scale_) : pose.scale;
+  return fix;
+}
+
+}  // namespace orthonav::registration

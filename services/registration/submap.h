@@ -1,0 +1,99 @@
+// Method "submap": registers the points of the last several keyframes together, the one orthonav ships with.
+//
+// A keyframe's points are described in its own image (view.h). The place of the newest keyframe is where the points of
+// all of them, held together by the odometry, look most like the map (place_search.h): around the expected position
+// where the fusion has one, over the whole map where it has none, and over ever more of it while no place convinces.
+// A fit of translation, turn and scale and a pose with priors follow (place_fit.h).
+//
+// A place is accepted by how much likelier it is than the best other one: what one field looks like, the next one may
+// too, and then both are likely.
+//
+// Not thread-safe; deterministic.
+#pragma once
+
+#include <deque>
+#include <memory>
+#include <optional>
+
+#include "common/camera/camera_model.h"
+#include "common/config/config.h"
+#include "services/registration/fix.h"
+#include "services/registration/place_fit.h"
+#include "services/registration/place_search.h"
+#include "services/registration/view.h"
+
+namespace orthonav::registration {
+
+struct SubmapOptions {
+  QueryOptions query;
+  int max_keyframes = 5;             // of a submap
+  bool search_heading = false;       // true: all headings, where nothing is known of it
+  double bound_stddevs = 4;          // the search covers so many standard deviations of the expected position
+  double min_radius = 15;            // m, and at least this
+  double widening = 1.5;             // factor of the radius for each keyframe without a fix
+  double second_distance = 15;       // m: places further from the best are other places
+  double min_likelihood_ratio = 60;  // of a fix, log-likelihood of the best place less that of the second
+  int min_inliers = 12;
+  EvidenceOptions evidence;
+  FitOptions fit;
+
+  // Reads `query` and `submap` of registration.yaml. Throws ConfigError.
+  static SubmapOptions from_config(ConfigNode& node);
+};
+
+// Where the fusion expects the body, horizontally in G.
+struct PositionPrior {
+  Eigen::Vector2d en = Eigen::Vector2d::Zero();  // m
+  double stddev = 0;                             // m, of the worse direction
+};
+
+class SubmapRegistrar {
+ public:
+  SubmapRegistrar(const SubmapOptions& options, const CameraModel& camera);
+
+  bool has_map() const { return index_ != nullptr; }
+  // Throws std::invalid_argument as MapIndex does, and for a map without a keypoint size.
+  void set_map(MapFeatures features, const MapGeometry& geometry);
+  void clear_map();
+
+  // The three stages of a keyframe, to be called in this order for each; separate so that the caller can time them.
+  // `session` is the odometry's: another one begins a new submap. Throw std::logic_error without a map. The return
+  // value says whether the keyframe can be used; why not is in the fix.
+  bool describe(const Keyframe& keyframe, int session, const cv::Mat& image, const Heading& heading);
+  void search(const std::optional<PositionPrior>& prior);
+  Fix solve();
+
+ private:
+  // What a keyframe without a prior position says of every place.
+  struct Remembered {
+    std::unique_ptr<View> view;
+    std::optional<CoarseLikelihood> everywhere;
+  };
+  std::vector<const View*> views() const;
+  Alignment expected() const;
+  void set_alignments(const Heading& heading);
+  void search_everywhere();
+  void search_around(const PositionPrior& prior, double radius);
+  void compare_at_full_resolution(const std::vector<PlaceCandidate>& coarse);
+
+  SubmapOptions options_;
+  CameraModel camera_;
+  MapGeometry geometry_;
+  std::unique_ptr<MapIndex> index_;
+
+  std::deque<Remembered> keyframes_;  // the newest first
+  int session_ = -1;
+  Heading heading_;
+  // Compass less odometry: the yaw of W in G by the mean of the session's headings, and what the fixes made of it.
+  double compass_yaw_ = 0;
+  int num_headings_ = 0;
+  std::optional<double> fitted_yaw_, fitted_scale_;
+  int without_fix_ = 0;  // keyframes since the last fix
+
+  std::string refused_;
+  std::vector<Alignment> alignments_;
+  std::vector<PlaceCandidate> places_;
+  double radius_ = 0;
+};
+
+}  // namespace orthonav::registration

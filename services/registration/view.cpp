@@ -1,0 +1,116 @@
+#include "services/registration/view.h"
+
+#include <algorithm>
+#include <cmath>
+#include <stdexcept>
+
+#include <fmt/format.h>
+#include <opencv2/imgproc.hpp>
+
+#include "common/math/so3.h"
+#include "services/registration/dot_products.h"
+
+namespace orthonav::registration {
+namespace {
+
+// Pixels of the map to a node of the field; the image is brought to a whole fraction of it.
+double node_width(double keypoint_size) {
+  return std::max(1.0, std::round(1.5 * keypoint_size / 4.5));
+}
+
+Background background_of(const uint8_t* descriptor, const MapIndex& index) {
+  double sum = 0, squares = 0;
+  for (const int feature : index.sample()) {
+    const double product = dot_product(descriptor, index.descriptor(feature));
+    sum += product;
+    squares += product * product;
+  }
+  const auto count = static_cast<double>(index.sample().size());
+  const double mean = sum / count;
+  return {static_cast<float>(mean), static_cast<float>(std::sqrt(std::max(1.0, squares / count - mean * mean)))};
+}
+
+Background coarse_background_of(const uint8_t* coarse, const MapIndex& index) {
+  const cv::Mat& sample = index.coarse_sample();
+  std::vector<uint16_t> products(static_cast<size_t>(sample.cols));
+  coarse_products(coarse, sample.ptr(), products.size(), products.size(), products.data());
+  double sum = 0, squares = 0;
+  for (const uint16_t product : products) {
+    sum += product;
+    squares += static_cast<double>(product) * product;
+  }
+  const auto count = static_cast<double>(products.size());
+  const double mean = sum / count;
+  return {static_cast<float>(mean), static_cast<float>(std::sqrt(std::max(1.0, squares / count - mean * mean)))};
+}
+
+}  // namespace
+
+View make_view(const Keyframe& keyframe, const cv::Mat& image, const CameraModel& camera, double true_heading,
+               double scale, const MapIndex& index, const MapGeometry& map, const QueryOptions& options) {
+  View view;
+  view.keyframe = keyframe;
+  view.refused = reason_to_refuse(keyframe, image, camera, true_heading);
+  if (!view.refused.empty()) return view;
+  const Eigen::Matrix3d R_G_W = rotation_G_W(keyframe.q_W_B, true_heading);
+  view.yaw = wrap_angle(heading_of(keyframe.q_W_B) - true_heading);
+  const Eigen::Matrix3d R_G_C = R_G_W * keyframe.q_W_B.toRotationMatrix() * keyframe.extrinsics.R_B_C;
+  const double height = keyframe.height_above_ground * scale;
+  ImageSimilarity similarity;
+  try {
+    similarity = view_similarity(camera, R_G_C, height, map.metres_per_pixel, options.max_tilt);
+  } catch (const std::invalid_argument& error) {
+    view.refused = error.what();
+    return view;
+  }
+  // Map pixels an image pixel is wide, and as wide as the field's image will have it.
+  const double own_width = similarity.scale / camera.focal();
+  const double node = node_width(map.keypoint_size);
+  const double width = node / std::clamp(std::round(node / own_width), 1.0, node);
+  const double shrink = own_width / width;
+  cv::Mat resized = image;
+  if (std::abs(shrink - 1) > 0.02) {
+    cv::resize(image, resized, {}, shrink, shrink, shrink < 1 ? cv::INTER_AREA : cv::INTER_LINEAR);
+  }
+  const Eigen::Vector2d stretch(static_cast<double>(resized.cols) / image.cols,
+                                static_cast<double>(resized.rows) / image.rows);
+  view.field.emplace(resized, OrientationFieldOptions{map.keypoint_size, width, similarity.angle});
+
+  // Ten map pixels east and south of a place, as the camera sees them.
+  const double step = 10 * map.metres_per_pixel;
+  const Eigen::Vector3d east = R_G_C.transpose() * Eigen::Vector3d(step, 0, 0);
+  const Eigen::Vector3d south = R_G_C.transpose() * Eigen::Vector3d(0, -step, 0);
+  for (size_t i = 0; i < keyframe.points.size(); ++i) {
+    const TrackedPoint& tracked = keyframe.points[i];
+    if (!usable(tracked) || tracked.reprojection_error > options.max_reprojection_error) continue;
+    if (!camera.contains(tracked.pixel)) continue;
+    ViewPoint point;
+    point.index = static_cast<int>(i);
+    point.ray = tracked.ray_C.head<2>() / tracked.ray_C.z();
+    point.p_W = tracked.p_W;
+    const Eigen::Vector3d ray_G = R_G_C * point.ray.homogeneous();
+    if (!(-ray_G.z() > 0.1 * ray_G.norm())) continue;
+    const Eigen::Vector3d p_C = height / -ray_G.z() * point.ray.homogeneous();
+    const auto right = camera.project(p_C + east);
+    const auto left = camera.project(p_C - east);
+    const auto below = camera.project(p_C + south);
+    const auto above = camera.project(p_C - south);
+    if (!right || !left || !below || !above) continue;
+    Eigen::Matrix2d jacobian;
+    jacobian << (*right - *left) / 20, (*below - *above) / 20;
+    point.jacobian = (stretch.asDiagonal() * jacobian).cast<float>();
+    point.pixel =
+        (stretch.cwiseProduct(tracked.pixel + Eigen::Vector2d(0.5, 0.5)) - Eigen::Vector2d(0.5, 0.5)).cast<float>();
+    if (!view.field->describe(point.pixel, point.jacobian, point.descriptor.data())) continue;
+    coarsen(point.descriptor.data(), point.coarse.data());
+    point.background = background_of(point.descriptor.data(), index);
+    point.coarse_background = coarse_background_of(point.coarse.data(), index);
+    view.points.push_back(point);
+  }
+  if (static_cast<int>(view.points.size()) <= options.min_points) {
+    view.refused = fmt::format("{} usable points, more than {} are needed", view.points.size(), options.min_points);
+  }
+  return view;
+}
+
+}  // namespace orthonav::registration

@@ -1,0 +1,58 @@
+// A keyframe as method "submap" compares it with the map: its tracked points, each described in its own image as the
+// map would show it.
+//
+// The image is not resampled to the map. Its gradients are gathered where they are, in pixels about as fine as the
+// map's, and each point's descriptor is read off them through the view of flat ground below the camera: heading, tilt,
+// perspective and lens are taken into account point by point.
+#pragma once
+
+#include <array>
+#include <cstdint>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include <Eigen/Core>
+#include <opencv2/core.hpp>
+
+#include "common/camera/camera_model.h"
+#include "common/features/orientation_field.h"
+#include "services/registration/map_index.h"
+#include "services/registration/query.h"
+#include "services/registration/types.h"
+
+namespace orthonav::registration {
+
+// What a descriptor's similarity to places of no relation looks like: mean and standard deviation over the map.
+struct Background {
+  float mean = 0;
+  float stddev = 1;
+  // The similarity in standard deviations above what chance gives.
+  float excess(int32_t product) const { return (static_cast<float>(product) - mean) / stddev; }
+};
+
+struct ViewPoint {
+  int index = -1;            // in Keyframe::points
+  Eigen::Vector2d ray;       // undistorted image coordinates at z = 1
+  Eigen::Vector3d p_W;       // m
+  Eigen::Vector2f pixel;     // in the field's image
+  Eigen::Matrix2f jacobian;  // of `pixel` by map pixels (east, south)
+  std::array<uint8_t, kSiftBytes> descriptor;
+  std::array<uint8_t, kCoarseBytes> coarse;
+  Background background, coarse_background;
+};
+
+struct View {
+  std::string refused;  // why the keyframe cannot be compared; empty when it can
+  Keyframe keyframe;
+  double yaw = 0;  // rad: rotation about z that takes W to G, as assumed for the descriptors
+  std::optional<OrientationField> field;
+  std::vector<ViewPoint> points;
+};
+
+// `scale` is the true size over the odometry's, as far as known. Bad input (NaN, height <= 0, wrong image size, too few
+// points) gives a refusal, never an exception.
+View make_view(const Keyframe& keyframe, const cv::Mat& image, const CameraModel& camera, double true_heading,
+               double scale, const MapIndex& index, const MapGeometry& map, const QueryOptions& options);
+
+}  // namespace orthonav::registration
