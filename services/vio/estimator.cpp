@@ -13,6 +13,11 @@
 #include "services/vio/projection_factor.h"
 
 namespace orthonav::vio {
+namespace {
+
+constexpr double kTolerance = 1e-4;  // relative decrease of the cost at which a frame's solution is good enough
+
+}  // namespace
 
 Estimator::Estimator(const EstimatorOptions& options, const Extrinsics& extrinsics, const ImuNoise& noise, double focal)
     : options_(options), extrinsics_(extrinsics), noise_(noise), focal_(focal) {
@@ -33,6 +38,9 @@ void Estimator::reset() {
   next_keyframe_id_ = 0;
   height_ = std::numeric_limits<double>::quiet_NaN();
   pose_covariance_.setConstant(std::numeric_limits<double>::quiet_NaN());
+  q_P_W_.setIdentity();
+  p_P_W_.setZero();
+  newest_ = StateValues{};
   published_.reset();
   outliers_.clear();
 }
@@ -70,7 +78,7 @@ Estimator::Status Estimator::process(int64_t utime, const std::vector<TrackedFea
   Frame& newest = *frames_.back();
   newest.keyframe = wants_keyframe();
   triangulate();
-  optimise(options_.iterations);
+  optimise(options_.iterations, kTolerance);
   find_outliers();
   gyro_bias_ = newest.state.bg();
   update_height();
@@ -80,6 +88,7 @@ Estimator::Status Estimator::process(int64_t utime, const std::vector<TrackedFea
     reason_ = failure;
     return status_;
   }
+  follow_published();
   if (newest.keyframe) {
     publish_keyframe();
     if (static_cast<int>(frames_.size()) > options_.window) marginalise_oldest();
@@ -218,7 +227,7 @@ NormalEquations Estimator::normal_equations() const {
   return equations;
 }
 
-void Estimator::optimise(int iterations) {
+void Estimator::optimise(int iterations, double tolerance) {
   for (size_t k = 1; k < frames_.size(); ++k) {
     // The first-order bias correction holds for small changes only.
     const StateValues& state = frames_[k - 1]->state;
@@ -289,7 +298,7 @@ void Estimator::optimise(int iterations) {
   options.trust_region_strategy_type = ceres::LEVENBERG_MARQUARDT;
   options.initial_trust_region_radius = 1e6;
   options.max_num_iterations = iterations;
-  options.function_tolerance = 1e-4;
+  options.function_tolerance = tolerance;
   options.num_threads = 1;
   options.logging_type = ceres::SILENT;
   ceres::Solver::Summary summary;

@@ -1,4 +1,4 @@
-// What the estimator tells others of a keyframe.
+// What the estimator tells others: the newest state and keyframes, each continuing what was told before.
 #include <cmath>
 #include <limits>
 
@@ -8,13 +8,40 @@
 
 namespace orthonav::vio {
 
+void Estimator::follow_published() {
+  const Frame& newest = *frames_.back();
+  const Frame& last = *frames_[frames_.size() - 2];
+  tilt_step_ = 0;
+  if (last.keyframe_id >= 0) {
+    const Eigen::Quaterniond q = last.published.q() * last.state.q().conjugate();
+    // The turn that would bring z back to z, a part of it at a time.
+    const Eigen::Vector3d tilt =
+        so3_log(Eigen::Quaterniond::FromTwoVectors(q * Eigen::Vector3d::UnitZ(), Eigen::Vector3d::UnitZ()));
+    const double part =
+        1.0 - std::exp(-1e-6 * static_cast<double>(newest.utime - last.utime) / options_.tilt_return_time);
+    tilt_step_ = part * tilt.norm();
+    q_P_W_ = (so3_exp(part * tilt) * q).normalized();
+    p_P_W_ = last.published.p() - q_P_W_ * last.state.p();
+  }
+  newest_ = as_published(newest.state);
+}
+
+StateValues Estimator::as_published(const StateValues& state) const {
+  StateValues result = state;
+  result.p() = q_P_W_ * state.p() + p_P_W_;
+  result.v() = q_P_W_ * state.v();
+  result.q() = q_P_W_ * state.q();
+  return result;
+}
+
 void Estimator::publish_keyframe() {
   Frame& newest = *frames_.back();
   newest.keyframe_id = next_keyframe_id_++;
   Keyframe keyframe;
   keyframe.utime = newest.utime;
   keyframe.id = newest.keyframe_id;
-  keyframe.state = newest.state;
+  newest.published = newest_;
+  keyframe.state = newest_;
   keyframe.height_above_ground = height_;
   keyframe.relative_covariance.setConstant(std::numeric_limits<double>::quiet_NaN());
   for (const auto& [id, landmark] : landmarks_) {
@@ -26,7 +53,9 @@ void Estimator::publish_keyframe() {
     feature.id = id;
     feature.pixel = here.pixel;
     feature.ray_C = here.ray;
-    feature.p_W = at.q() * (extrinsics_.R_B_C * anchor.ray / landmark.inverse_depth + extrinsics_.p_B_C) + at.p();
+    const Eigen::Vector3d p_W =
+        at.q() * (extrinsics_.R_B_C * anchor.ray / landmark.inverse_depth + extrinsics_.p_B_C) + at.p();
+    feature.p_W = q_P_W_ * p_W + p_P_W_;
     feature.reprojection_error = landmark.reprojection_error;
     double information = 0;
     for (size_t k = 1; k < landmark.observations.size(); ++k) {
@@ -50,7 +79,8 @@ void Estimator::publish_keyframe() {
     const Eigen::Matrix3d R_new = newest.state.q().toRotationMatrix();
     // To a rotation vector in W: R_hat Exp(e) = Exp(R_hat e) R_hat.
     Eigen::Matrix<double, 6, 6> to_world = Eigen::Matrix<double, 6, 6>::Identity();
-    to_world.bottomRightCorner<3, 3>() = R_new;
+    to_world.topLeftCorner<3, 3>() = q_P_W_.toRotationMatrix();
+    to_world.bottomRightCorner<3, 3>() = q_P_W_.toRotationMatrix() * R_new;
     pose_covariance_ = to_world * joint.bottomRightCorner<6, 6>() * to_world.transpose();
     if (previous.keyframe_id == keyframe.id - 1 && previous.keyframe_id >= 0) {
       Eigen::Matrix<double, 6, 12> J = Eigen::Matrix<double, 6, 12>::Zero();
@@ -60,6 +90,7 @@ void Estimator::publish_keyframe() {
       J.block<3, 3>(3, 3) = -R_new.transpose() * R_prev;
       J.block<3, 3>(3, 9).setIdentity();
       keyframe.relative_covariance = J * joint * J.transpose();
+      keyframe.relative_covariance.bottomRightCorner<3, 3>().diagonal().array() += tilt_step_ * tilt_step_;
     }
   }
   published_ = std::move(keyframe);

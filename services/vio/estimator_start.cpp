@@ -9,6 +9,11 @@
 #include "services/vio/initialiser.h"
 
 namespace orthonav::vio {
+namespace {
+
+constexpr double kStartTolerance = 1e-9;
+
+}  // namespace
 
 bool Estimator::standing_still(const std::vector<TrackedFeature>& features) const {
   constexpr double kStillPixels = 0.3;  // between frames: the noise of tracking, and nothing in flight
@@ -90,6 +95,7 @@ void Estimator::collect_for_start(const std::vector<TrackedFeature>& features) {
     gyro_bias_ = newest.state.bg();
     gyro_bias_known_ = true;
     update_height();
+    follow_published();
     publish_keyframe();
   }
 }
@@ -155,13 +161,14 @@ bool Estimator::try_start() {
   sigma.accel_bias = options_.accel_bias_sigma;
   sigma.gyro_bias = gyro_bias_known_ ? gyro_bias_sigma_ : std::max(0.1, gyro_bias_sigma_);
   prior_ = make_initial_prior(*frames_.front(), sigma, Eigen::Vector3d::Zero(), gyro_bias_);
-  optimise(15);
+  // To the bottom: scale lies in a shallow direction of the cost.
+  optimise(40, kStartTolerance);
   // Position and yaw stay at the first frame; its attitude and biases have moved.
   frames_.front()->pose_fixed = frames_.front()->speed_bias_fixed = false;
   prior_ = make_initial_prior(*frames_.front(), sigma, Eigen::Vector3d::Zero(), gyro_bias_);
   find_outliers();
   triangulate();
-  optimise(10);
+  optimise(40, kStartTolerance);
   find_outliers();
 
   std::vector<double> errors;

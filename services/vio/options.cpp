@@ -27,6 +27,7 @@ void read_estimator(ConfigNode node, EstimatorOptions& options) {
   node.read("iterations", options.iterations, 1, 100);
   node.read("accel_bias_sigma", options.accel_bias_sigma, 1e-6, 10.0);
   node.read("gyro_bias_sigma", options.gyro_bias_sigma, 1e-6, 1.0);
+  node.read("tilt_return_time", options.tilt_return_time, 0.1, 1e6);
   node.read("init_interval", options.init_interval, 0.02, 10.0);
   node.read("init_parallax", options.init_parallax, 1.0, 200.0);
   node.read("init_min_time", options.init_min_time, 0.1, 60.0);

@@ -38,7 +38,8 @@ struct Frame {
   int64_t id = 0;  // counts the frames of a session
   int64_t utime = 0;
   bool keyframe = false;
-  int keyframe_id = -1;
+  int keyframe_id = -1;   // -1: never published
+  StateValues published;  // of a published keyframe: what was told of it
   StateValues state;
   // First-estimate linearisation points: once a block is in the marginalisation prior, every Jacobian with respect
   // to it is taken where the prior was, or the estimator would gain information it does not have, about yaw and, on

@@ -1,0 +1,184 @@
+#include "services/vio/estimator.h"
+
+#include <gtest/gtest.h>
+
+#include "common/math/align.h"
+#include "common/math/so3.h"
+#include "common/math/statistics.h"
+#include "tests/vio/simulated_flight.h"
+
+namespace orthonav::vio {
+namespace {
+
+using Eigen::Vector3d;
+
+struct Flown {
+  std::vector<Vector3d> estimate, truth;
+  std::vector<Keyframe> keyframes;
+  double started = -1;      // s
+  double height_error = 0;  // relative, at the start
+  Vector3d gyro_bias, accel_bias;
+  bool failed = false;
+};
+
+Flown fly(const Trajectory& trajectory, const std::vector<SimulatedFrame>& frames) {
+  Estimator estimator({}, downward_camera(), {}, test_camera().focal());
+  Flown flown;
+  for (const SimulatedFrame& frame : frames) {
+    const auto status = estimator.process(frame.utime, frame.features, frame.imu);
+    if (status == Estimator::Status::kFailed) {
+      flown.failed = true;
+      break;
+    }
+    if (status == Estimator::Status::kInitialising) continue;
+    const double height = trajectory.position(frame.t).z();
+    if (flown.started < 0) {
+      flown.started = frame.t;
+      flown.height_error = estimator.height_above_ground() / height - 1;
+    }
+    flown.estimate.emplace_back(estimator.newest().p());
+    flown.truth.push_back(trajectory.position(frame.t));
+    if (estimator.keyframe()) flown.keyframes.push_back(*estimator.keyframe());
+    flown.gyro_bias = estimator.newest().bg();
+    flown.accel_bias = estimator.newest().ba();
+  }
+  return flown;
+}
+
+double largest_error(const Flown& flown) {
+  const Similarity fit = align_yaw_translation(flown.estimate, flown.truth);
+  double largest = 0;
+  for (size_t i = 0; i < flown.truth.size(); ++i) {
+    largest = std::max(largest, (fit * flown.estimate[i] - flown.truth[i]).norm());
+  }
+  return largest;
+}
+
+TEST(Estimator, RecoversTheTruthToCentimetresFromPerfectDataOverFlatGround) {
+  const Trajectory trajectory = survey_flight(110, 2.6);
+  const Flown flown = fly(trajectory, simulate_frames(trajectory, 60, 0.0, {}, 1));
+  ASSERT_GE(flown.started, 0);
+  EXPECT_LT(flown.started, 10);
+  ASSERT_GT(flown.truth.size(), 450u);
+  EXPECT_LT(largest_error(flown), 0.05);
+}
+
+TEST(Estimator, RecoversTheTruthToCentimetresInARoom) {
+  const Trajectory trajectory = survey_flight(2.0, 0.4);
+  const Flown flown = fly(trajectory, simulate_frames(trajectory, 30, 0.3, {}, 1));
+  ASSERT_GE(flown.started, 0);
+  EXPECT_LT(largest_error(flown), 0.02);
+}
+
+TEST(Estimator, FindsTheBiases) {
+  const Trajectory trajectory = survey_flight(60, 3);
+  SimulatedNoise noise;
+  noise.gyro_bias = {0.03, -0.02, 0.01};
+  noise.accel_bias = {0.05, -0.04, 0.06};
+  const Flown flown = fly(trajectory, simulate_frames(trajectory, 60, 2.0, noise, 2));
+  ASSERT_GE(flown.started, 0);
+  EXPECT_LT((flown.gyro_bias - noise.gyro_bias).norm(), 2e-4);
+  EXPECT_LT((flown.accel_bias - noise.accel_bias).norm(), 2e-2);
+}
+
+TEST(Estimator, StartsInFlightOverFlatGroundWithTheRightScale) {
+  std::vector<double> errors;
+  for (const double height : {60.0, 110.0, 285.0}) {
+    const Trajectory trajectory = survey_flight(height, height / 40);
+    for (unsigned seed = 1; seed <= 3; ++seed) {
+      SimulatedNoise noise{0.2, true, {0.004, -0.006, 0.003}, {0.03, -0.02, 0.02}};
+      const Flown flown = fly(trajectory, simulate_frames(trajectory, 20, 0.0, noise, seed));
+      ASSERT_GE(flown.started, 0) << height << " m, seed " << seed;
+      EXPECT_LT(std::abs(flown.height_error), 0.2) << height << " m, seed " << seed;
+      EXPECT_FALSE(flown.failed);
+      errors.push_back(std::abs(flown.height_error));
+    }
+  }
+  EXPECT_LT(median(errors), 0.07);
+}
+
+TEST(Estimator, StartsFromStandstill) {
+  const Trajectory trajectory = survey_flight(1.5, 0.5, 3.0);
+  SimulatedNoise noise{0.1, true, {0.02, -0.05, 0.03}, {0.03, -0.02, 0.02}};
+  const Flown flown = fly(trajectory, simulate_frames(trajectory, 15, 0.1, noise, 3));
+  ASSERT_GE(flown.started, 3.0);
+  EXPECT_LT(flown.started, 10.0);
+  EXPECT_LT(std::abs(flown.height_error), 0.1);
+}
+
+TEST(Estimator, StandingStillTellsTheGyroscopesBiasAndStartsNothing) {
+  const Trajectory trajectory = survey_flight(1.5, 0.5, 100.0);
+  SimulatedNoise noise{0.1, true, {0.02, -0.05, 0.03}, {0.03, -0.02, 0.02}};
+  Estimator estimator({}, downward_camera(), {}, test_camera().focal());
+  for (const SimulatedFrame& frame : simulate_frames(trajectory, 5, 0.1, noise, 3)) {
+    EXPECT_EQ(estimator.process(frame.utime, frame.features, frame.imu), Estimator::Status::kInitialising);
+  }
+  EXPECT_TRUE(estimator.gyro_bias_known());
+  EXPECT_LT((estimator.gyro_bias() - noise.gyro_bias).norm(), 1e-3);
+  EXPECT_EQ(estimator.reason(), "standing still");
+}
+
+TEST(Estimator, NoisyFlightHoldsScaleAndItsKeyframesCarryFeatures) {
+  const Trajectory trajectory = survey_flight(110, 2.6);
+  SimulatedNoise noise{0.2, true, {0.004, -0.006, 0.003}, {0.03, -0.02, 0.02}};
+  const Flown flown = fly(trajectory, simulate_frames(trajectory, 90, 2.0, noise, 4));
+  ASSERT_GE(flown.started, 0);
+  const Similarity fit = align_umeyama(flown.estimate, flown.truth, true);
+  EXPECT_NEAR(fit.scale, 1.0, 0.03);
+  EXPECT_LT(largest_error(flown), 5.0);  // of 230 m
+  ASSERT_GT(flown.keyframes.size(), 20u);
+  for (size_t k = 0; k < flown.keyframes.size(); ++k) {
+    EXPECT_EQ(flown.keyframes[k].id, static_cast<int>(k));
+    size_t good = 0;
+    for (const KeyframeFeature& feature : flown.keyframes[k].features) good += feature.reprojection_error <= 8 ? 1 : 0;
+    EXPECT_GT(good, 20u);
+  }
+}
+
+// Errors of the motion between keyframes, over their own covariance: about one per degree of freedom.
+TEST(Estimator, RelativeCovarianceIsHonest) {
+  const Trajectory trajectory = survey_flight(110, 2.6);
+  double sum = 0;
+  int count = 0;
+  for (unsigned seed = 1; seed <= 4; ++seed) {
+    SimulatedNoise noise{0.2, true, {0.004, -0.006, 0.003}, {0.03, -0.02, 0.02}};
+    const Flown flown = fly(trajectory, simulate_frames(trajectory, 60, 2.0, noise, seed));
+    ASSERT_GT(flown.keyframes.size(), 20u);
+    for (size_t k = 10; k < flown.keyframes.size(); ++k) {
+      const Keyframe& a = flown.keyframes[k - 1];
+      const Keyframe& b = flown.keyframes[k];
+      const double t_a = 1e-6 * static_cast<double>(a.utime - 1'000'000'000);
+      const double t_b = 1e-6 * static_cast<double>(b.utime - 1'000'000'000);
+      const Eigen::Quaterniond q_a = trajectory.attitude(t_a), q_b = trajectory.attitude(t_b);
+      const Vector3d p_true = q_a.conjugate() * (trajectory.position(t_b) - trajectory.position(t_a));
+      const Vector3d p_est = a.state.q().conjugate() * (b.state.p() - a.state.p());
+      Eigen::Matrix<double, 6, 1> error;
+      error << p_est - p_true, so3_log((q_a.conjugate() * q_b).conjugate() * (a.state.q().conjugate() * b.state.q()));
+      sum += error.dot(b.relative_covariance.ldlt().solve(error));
+      count += 6;
+    }
+  }
+  EXPECT_GT(sum / count, 0.2);
+  EXPECT_LT(sum / count, 3.0);
+  RecordProperty("normalised_error_squared", std::to_string(sum / count));
+}
+
+TEST(Estimator, LosingSightEndsTheSessionWithAReason) {
+  const Trajectory trajectory = survey_flight(110, 2.6);
+  auto frames = simulate_frames(trajectory, 25, 2.0, {}, 5);
+  Estimator estimator({}, downward_camera(), {}, test_camera().focal());
+  double failed_at = -1;
+  for (SimulatedFrame& frame : frames) {
+    if (frame.t > 15) frame.features.clear();
+    if (estimator.process(frame.utime, frame.features, frame.imu) == Estimator::Status::kFailed) {
+      failed_at = frame.t;
+      break;
+    }
+  }
+  ASSERT_GT(failed_at, 15);
+  EXPECT_LT(failed_at, 17.5);
+  EXPECT_NE(estimator.reason().find("landmarks in view"), std::string::npos);
+}
+
+}  // namespace
+}  // namespace orthonav::vio

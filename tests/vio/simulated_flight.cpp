@@ -1,0 +1,184 @@
+#include "tests/vio/simulated_flight.h"
+
+#include <cmath>
+#include <map>
+
+#include <opencv2/imgproc.hpp>
+
+#include "common/math/so3.h"
+
+namespace orthonav::vio {
+namespace {
+
+constexpr double kImuStep = 0.005, kFrameStep = 0.1;
+
+int64_t to_utime(double t) {
+  return 1'000'000'000 + static_cast<int64_t>(std::llround(1e6 * t));
+}
+
+}  // namespace
+
+Extrinsics downward_camera() {
+  Extrinsics extrinsics;
+  extrinsics.p_B_C = {0.08, 0.01, -0.05};
+  extrinsics.R_B_C << 0, -1, 0, -1, 0, 0, 0, 0, -1;
+  return extrinsics;
+}
+
+CameraModel test_camera() {
+  CameraParameters parameters;
+  parameters.width = 640;
+  parameters.height = 480;
+  parameters.fx = parameters.fy = 850;
+  parameters.cx = 319.5;
+  parameters.cy = 239.5;
+  return CameraModel(parameters);
+}
+
+Eigen::Quaterniond Trajectory::attitude(double t) const {
+  const Eigen::Vector3d a = orientation(t);
+  return Eigen::AngleAxisd(a.z(), Eigen::Vector3d::UnitZ()) * Eigen::AngleAxisd(a.y(), Eigen::Vector3d::UnitY()) *
+         Eigen::AngleAxisd(a.x(), Eigen::Vector3d::UnitX());
+}
+
+Eigen::Vector3d Trajectory::velocity(double t) const {
+  constexpr double h = 1e-4;
+  return (position(t + h) - position(t - h)) / (2 * h);
+}
+
+ImuSample Trajectory::imu(double t, double gravity) const {
+  constexpr double h = 1e-3;
+  ImuSample sample;
+  sample.utime = to_utime(t);
+  sample.gyro = so3_log(attitude(t - h).conjugate() * attitude(t + h)) / (2 * h);
+  const Eigen::Vector3d acceleration = (position(t + h) - 2 * position(t) + position(t - h)) / (h * h);
+  sample.accel = attitude(t).conjugate() * (acceleration + Eigen::Vector3d(0, 0, gravity));
+  return sample;
+}
+
+Trajectory survey_flight(double height, double speed, double rest) {
+  // Motion fades in over a second so that acceleration is continuous.
+  const auto moving_time = [rest](double t) {
+    const double s = t - rest;
+    if (rest <= 0) return t;
+    if (s <= 0) return 0.0;
+    return s < 2 ? s * s * s * (4 - s) / 16 : s - 1;  // smooth to the second derivative at 0 and 2
+  };
+  Trajectory trajectory;
+  trajectory.position = [=](double t) {
+    const double m = moving_time(t);
+    return Eigen::Vector3d(speed * m + 0.8 * (1 - std::cos(0.9 * m)), 1.5 * (1 - std::cos(0.5 * m)),
+                           height + 0.6 * std::sin(0.7 * m) * std::sin(0.35 * m));
+  };
+  trajectory.orientation = [=](double t) {
+    const double m = moving_time(t);
+    return Eigen::Vector3d(0.06 * std::sin(0.5 * m), 0.05 * std::sin(0.9 * m), 0.1 * std::sin(0.2 * m));
+  };
+  return trajectory;
+}
+
+std::vector<SimulatedFrame> simulate_frames(const Trajectory& trajectory, double duration, double relief,
+                                            const SimulatedNoise& noise, unsigned seed) {
+  constexpr double kGravity = 9.81;
+  constexpr int kMostFeatures = 120;
+  std::mt19937 generator(seed);
+  std::normal_distribution<double> normal;
+  std::uniform_real_distribution<double> uniform;
+  const auto draw = [&] { return Eigen::Vector3d(normal(generator), normal(generator), normal(generator)); };
+  const CameraModel camera = test_camera();
+  const Extrinsics extrinsics = downward_camera();
+  const ImuNoise class_noise;
+  const double root = std::sqrt(kImuStep);
+  Eigen::Vector3d bg = noise.gyro_bias, ba = noise.accel_bias;
+
+  std::map<int64_t, Eigen::Vector3d> points;
+  int64_t next_id = 0;
+  std::vector<SimulatedFrame> frames;
+  ImuSample last;
+  for (int k = 0; k * kFrameStep <= duration; ++k) {
+    SimulatedFrame frame;
+    frame.t = k * kFrameStep;
+    frame.utime = to_utime(frame.t);
+    if (k > 0) {
+      frame.imu.push_back(last);
+      for (int n = 1; n <= 20; ++n) {
+        ImuSample sample = trajectory.imu((k - 1) * kFrameStep + n * kImuStep, kGravity);
+        sample.gyro += bg;
+        sample.accel += ba;
+        if (noise.imu) {
+          sample.gyro += class_noise.gyro_noise / root * draw();
+          sample.accel += class_noise.accel_noise / root * draw();
+          bg += class_noise.gyro_walk * root * draw();
+          ba += class_noise.accel_walk * root * draw();
+        }
+        frame.imu.push_back(sample);
+      }
+      last = frame.imu.back();
+    } else {
+      last = trajectory.imu(0, kGravity);
+      last.gyro += bg;
+      last.accel += ba;
+    }
+    const Eigen::Vector3d p = trajectory.position(frame.t);
+    const Eigen::Quaterniond q = trajectory.attitude(frame.t);
+    const auto see = [&](const Eigen::Vector3d& point) {
+      const Eigen::Vector3d p_C = extrinsics.R_B_C.transpose() * (q.conjugate() * (point - p) - extrinsics.p_B_C);
+      auto pixel = camera.project(p_C);
+      if (pixel && !camera.contains(*pixel, 5)) pixel.reset();
+      return pixel;
+    };
+    for (auto it = points.begin(); it != points.end();) it = see(it->second) ? std::next(it) : points.erase(it);
+    while (points.size() < kMostFeatures) {
+      const Eigen::Vector2d pixel(10 + 620 * uniform(generator), 10 + 460 * uniform(generator));
+      const Eigen::Vector3d ray_W = q * (extrinsics.R_B_C * *camera.unproject(pixel));
+      const Eigen::Vector3d p_C = p + q * extrinsics.p_B_C;
+      const double z = relief * normal(generator);
+      const Eigen::Vector3d point = p_C + ray_W * ((z - p_C.z()) / ray_W.z());
+      if (see(point)) points[next_id++] = point;
+    }
+    for (const auto& [id, point] : points) {
+      const Eigen::Vector2d pixel = *see(point) + noise.pixel * Eigen::Vector2d(normal(generator), normal(generator));
+      frame.features.push_back({id, pixel, *camera.unproject(pixel)});
+    }
+    frames.push_back(std::move(frame));
+  }
+  return frames;
+}
+
+TexturedGround::TexturedGround(double extent, double metres_per_pixel, unsigned seed)
+    : extent_(extent), metres_per_pixel_(metres_per_pixel) {
+  const int side = static_cast<int>(2 * extent / metres_per_pixel);
+  cv::RNG random(seed);
+  texture_ = cv::Mat(side, side, CV_8U);
+  random.fill(texture_, cv::RNG::UNIFORM, 0, 256);
+  cv::Mat coarse;
+  cv::GaussianBlur(texture_, coarse, {}, 6);
+  cv::GaussianBlur(texture_, texture_, {}, 2);
+  cv::Mat mixed;
+  cv::addWeighted(texture_, 2.0, coarse, 6.0, -7.0 * 127.5, mixed);
+  texture_ = mixed;
+}
+
+cv::Mat TexturedGround::picture(const Trajectory& trajectory, double t) const {
+  const CameraParameters c = test_camera().parameters();
+  const Extrinsics extrinsics = downward_camera();
+  const Eigen::Quaterniond q = trajectory.attitude(t);
+  const Eigen::Matrix3d R_C_W = (q.toRotationMatrix() * extrinsics.R_B_C).transpose();
+  const Eigen::Vector3d p_W_C = trajectory.position(t) + q * extrinsics.p_B_C;
+  Eigen::Matrix3d K;
+  K << c.fx, 0, c.cx, 0, c.fy, c.cy, 0, 0, 1;
+  Eigen::Matrix3d ground;  // (x, y, 1) on the ground to the picture
+  ground << R_C_W.col(0), R_C_W.col(1), -R_C_W * p_W_C;
+  Eigen::Matrix3d texture;  // texture pixel to (x, y, 1); row 0 is at +y
+  texture << metres_per_pixel_, 0, -extent_, 0, -metres_per_pixel_, extent_, 0, 0, 1;
+  const Eigen::Matrix3d H = K * ground * texture;
+  cv::Mat H_cv(3, 3, CV_64F);
+  for (int r = 0; r < 3; ++r) {
+    for (int col = 0; col < 3; ++col) H_cv.at<double>(r, col) = H(r, col);
+  }
+  cv::Mat picture;
+  cv::warpPerspective(texture_, picture, H_cv, {c.width, c.height}, cv::INTER_LINEAR, cv::BORDER_REFLECT);
+  return picture;
+}
+
+}  // namespace orthonav::vio

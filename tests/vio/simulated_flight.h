@@ -1,0 +1,66 @@
+// A flight in closed form for tests of the odometry: exact IMU samples, exact bearings of points on the ground, and
+// plain pictures of a textured plane. Noise is added on request.
+#pragma once
+
+#include <functional>
+#include <random>
+#include <vector>
+
+#include <Eigen/Core>
+#include <Eigen/Geometry>
+#include <opencv2/core.hpp>
+
+#include "common/camera/camera_model.h"
+#include "services/vio/state.h"
+
+namespace orthonav::vio {
+
+// Body x forward, y left, z up; the camera looks down, the top of the picture forward.
+Extrinsics downward_camera();
+CameraModel test_camera();  // 640x480, 850 pixels of focal length, no distortion
+
+struct Trajectory {
+  std::function<Eigen::Vector3d(double)> position;     // m at a time in s
+  std::function<Eigen::Vector3d(double)> orientation;  // roll, pitch, yaw in rad
+
+  Eigen::Quaterniond attitude(double t) const;
+  Eigen::Vector3d velocity(double t) const;
+  // What an ideal IMU measures, by central differences to 1e-7.
+  ImuSample imu(double t, double gravity) const;
+};
+
+// A multirotor's forward flight at `height` (m) and `speed` (m/s) with a sway of a few seconds' period; it stands
+// still at its start for `rest` seconds.
+Trajectory survey_flight(double height, double speed, double rest = 0);
+
+struct SimulatedNoise {
+  double pixel = 0;                                      // pixels, 1 sigma
+  bool imu = false;                                      // of ImuNoise's default class, with the biases below
+  Eigen::Vector3d gyro_bias = Eigen::Vector3d::Zero();   // rad/s
+  Eigen::Vector3d accel_bias = Eigen::Vector3d::Zero();  // m/s^2
+};
+
+struct SimulatedFrame {
+  int64_t utime = 0;
+  double t = 0;
+  std::vector<TrackedFeature> features;
+  std::vector<ImuSample> imu;  // since the previous frame, both ends included
+};
+
+// Frames at 10 Hz with points on a ground of `relief` (m, 1 sigma). A point keeps its id while it is in view.
+std::vector<SimulatedFrame> simulate_frames(const Trajectory& trajectory, double duration, double relief,
+                                            const SimulatedNoise& noise, unsigned seed);
+
+// The picture of the plane z = 0 under a fixed random texture.
+class TexturedGround {
+ public:
+  // `extent`: m, half the side of the square that the texture covers around the origin.
+  TexturedGround(double extent, double metres_per_pixel, unsigned seed);
+  cv::Mat picture(const Trajectory& trajectory, double t) const;
+
+ private:
+  double extent_, metres_per_pixel_;
+  cv::Mat texture_;
+};
+
+}  // namespace orthonav::vio
