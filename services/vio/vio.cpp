@@ -89,9 +89,12 @@ std::vector<ImuSample> Vio::take_imu(int64_t from, int64_t to, bool* gap) {
 }
 
 void Vio::restart(const std::string& reason) {
-  ++session_;
-  ++counters_["restarts"];
-  restart_reason_ = reason;
+  // A session that has not begun needs no successor.
+  if (estimator_.status() != Estimator::Status::kInitialising) {
+    ++session_;
+    ++counters_["restarts"];
+    restart_reason_ = reason;
+  }
   estimator_.reset();
 }
 

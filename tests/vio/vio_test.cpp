@@ -1,5 +1,7 @@
 #include "services/vio/vio.h"
 
+#include <cmath>
+#include <functional>
 #include <limits>
 #include <random>
 
@@ -14,6 +16,8 @@ namespace orthonav::vio {
 namespace {
 
 using Eigen::Vector3d;
+
+constexpr int kFirstSession = 1000;  // the second of the first image
 
 int64_t to_utime(double t) {
   return 1'000'000'000 + static_cast<int64_t>(std::llround(1e6 * t));
@@ -64,7 +68,7 @@ TEST(Vio, FliesOnPicturesOfAPlane) {
   ASSERT_GT(estimate.size(), 150u);
   const Similarity fit = align_yaw_translation(estimate, truth);
   for (size_t i = 0; i < truth.size(); ++i) EXPECT_LT((fit * estimate[i] - truth[i]).norm(), 1.0) << i;
-  EXPECT_EQ(vio.session(), 1);
+  EXPECT_EQ(vio.session(), kFirstSession);
 }
 
 TEST(Vio, KeyframeFeaturesLieWhereTheirPixelsAre) {
@@ -119,7 +123,7 @@ TEST(Vio, CountsAndSurvivesBadImu) {
   EXPECT_GT(vio.counters().at("imu.rejected.order"), 40);
   EXPECT_GT(vio.counters().at("imu.rejected.implausible"), 40);
   EXPECT_EQ(feeder.outputs.back().status, Estimator::Status::kTracking);
-  EXPECT_EQ(vio.session(), 1);
+  EXPECT_EQ(vio.session(), kFirstSession);
 }
 
 TEST(Vio, CountsAndSurvivesBadImages) {
@@ -142,13 +146,13 @@ TEST(Vio, RestartsWithANewSessionAfterBlindness) {
     return t > 10 && t < 13.5 ? cv::Mat(480, 640, CV_8U, cv::Scalar(40)) : image;
   };
   feeder.run(vio, 0, 28);
-  EXPECT_EQ(vio.session(), 2);
+  EXPECT_EQ(vio.session(), kFirstSession + 1);
   EXPECT_EQ(vio.counters().at("restarts"), 1);
   EXPECT_EQ(feeder.outputs.back().status, Estimator::Status::kTracking);
-  EXPECT_EQ(feeder.outputs.back().session, 2);
+  EXPECT_EQ(feeder.outputs.back().session, kFirstSession + 1);
   bool said_why = false;
   for (const VioOutput& output : feeder.outputs) {
-    if (output.session == 2 && output.status == Estimator::Status::kInitialising) {
+    if (output.session == kFirstSession + 1 && output.status == Estimator::Status::kInitialising) {
       said_why = said_why || output.reason.find("landmarks in view") != std::string::npos;
       EXPECT_EQ(output.last_keyframe_id, -1);
     }
@@ -161,11 +165,11 @@ TEST(Vio, BridgesAShortImuGapAndRestartsAfterALongOne) {
   Feeder feeder;
   feeder.change_imu = [](double t, ImuSample&) { return !(t > 10.02 && t < 10.1); };
   feeder.run(vio, 0, 12);
-  EXPECT_EQ(vio.session(), 1);
+  EXPECT_EQ(vio.session(), kFirstSession);
   EXPECT_EQ(feeder.outputs.back().status, Estimator::Status::kTracking);
   feeder.change_imu = [](double t, ImuSample&) { return !(t > 12.5 && t < 13.5); };
   feeder.run(vio, 12.1, 24);
-  EXPECT_EQ(vio.session(), 2);
+  EXPECT_EQ(vio.session(), kFirstSession + 1);
   EXPECT_EQ(feeder.outputs.back().status, Estimator::Status::kTracking);
 }
 
