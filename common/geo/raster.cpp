@@ -1,6 +1,8 @@
 #include "common/geo/raster.h"
 
+#include <algorithm>
 #include <cmath>
+#include <iterator>
 #include <limits>
 #include <mutex>
 #include <stdexcept>
@@ -58,6 +60,58 @@ struct Raster::Impl {
 
   cv::Rect clip(const cv::Rect& window) const {
     return window & cv::Rect(0, 0, dataset->GetRasterXSize(), dataset->GetRasterYSize());
+  }
+
+  // Values of band 1, `size` of them spread over the window; NaN where there is no data.
+  cv::Mat sample(const cv::Rect& window, const cv::Size& size) const {
+    cv::Mat values(size, CV_32F);
+    cv::Mat mask(size, CV_8U);
+    GDALRasterBand* band = dataset->GetRasterBand(1);
+    if (band->RasterIO(GF_Read, window.x, window.y, window.width, window.height, values.data, size.width, size.height,
+                       GDT_Float32, 0, 0) != CE_None ||
+        band->GetMaskBand()->RasterIO(GF_Read, window.x, window.y, window.width, window.height, mask.data, size.width,
+                                      size.height, GDT_Byte, 0, 0) != CE_None) {
+      fail(file, fmt::format("cannot read {}x{} at {}+{}: is the file truncated?", window.width, window.height,
+                             window.x, window.y));
+    }
+    values.setTo(std::numeric_limits<float>::quiet_NaN(), mask == 0);
+    return values;
+  }
+
+  // From the raster's values to 8 bits: grey = scale (value - low). Found once, where values are not 8-bit.
+  bool range_known = false;
+  double low = 0;
+  double scale = 1;
+
+  bool is_colour() const {
+    return dataset->GetRasterCount() >= 3 && dataset->GetRasterBand(1)->GetColorInterpretation() != GCI_GrayIndex;
+  }
+
+  void find_range() {
+    range_known = true;
+    constexpr int kSamples = 1000;
+    const cv::Rect all(0, 0, dataset->GetRasterXSize(), dataset->GetRasterYSize());
+    const cv::Mat values = sample(all, {std::min(all.width, kSamples), std::min(all.height, kSamples)});
+    std::vector<float> known;
+    std::copy_if(values.begin<float>(), values.end<float>(), std::back_inserter(known),
+                 [](float value) { return std::isfinite(value); });
+    if (known.empty()) return;  // no data: nothing to stretch
+    std::sort(known.begin(), known.end());
+    low = known[known.size() / 200];
+    const double high = known[known.size() - 1 - known.size() / 200];
+    scale = high > low ? 255.0 / (high - low) : 1.0;
+  }
+
+  // Grey value of each palette entry; empty without a palette.
+  cv::Mat palette() const {
+    const GDALColorTable* table = dataset->GetRasterBand(1)->GetColorTable();
+    if (table == nullptr || dataset->GetRasterBand(1)->GetColorInterpretation() != GCI_PaletteIndex) return {};
+    cv::Mat grey = cv::Mat::zeros(1, 256, CV_8U);
+    for (int i = 0; i < std::min(256, table->GetColorEntryCount()); ++i) {
+      const GDALColorEntry* entry = table->GetColorEntry(i);
+      grey.at<uchar>(i) = cv::saturate_cast<uchar>(0.299 * entry->c1 + 0.587 * entry->c2 + 0.114 * entry->c3);
+    }
+    return grey;
   }
 
   // Reads band `index` (1-based) of `inside` into the window-sized `image` at its place.
@@ -150,33 +204,60 @@ cv::Mat Raster::read_grey(const cv::Rect& window, cv::Mat* valid) const {
   if (valid != nullptr) *valid = cv::Mat::zeros(window.size(), CV_8U);
   if (inside.empty()) return grey;
 
-  const GDALColorInterp first = impl_->dataset->GetRasterBand(1)->GetColorInterpretation();
-  const GDALDataType type = impl_->dataset->GetRasterBand(1)->GetRasterDataType();
-  const bool colour = impl_->dataset->GetRasterCount() >= 3 && first != GCI_GrayIndex;
-  // 16-bit pictures are brought to 8 bits by their full range; 8-bit ones are read as they are.
-  const double scale = type == GDT_UInt16 ? 255.0 / 65535.0 : 1.0;
+  const bool bytes = impl_->dataset->GetRasterBand(1)->GetRasterDataType() == GDT_Byte;
+  if (!bytes && !impl_->range_known) impl_->find_range();
   const auto read_band = [&](int index) {
-    cv::Mat band = cv::Mat::zeros(window.size(), CV_32F);
-    impl_->read(index, window, inside, band, GDT_Float32);
-    return cv::Mat(band * scale);
+    cv::Mat band = cv::Mat::zeros(window.size(), bytes ? CV_8U : CV_32F);
+    impl_->read(index, window, inside, band, bytes ? GDT_Byte : GDT_Float32);
+    if (bytes) return band;
+    cv::patchNaNs(band, impl_->low);
+    cv::Mat stretched;
+    band.convertTo(stretched, CV_8U, impl_->scale, -impl_->scale * impl_->low);
+    return stretched;
   };
-  cv::Mat luminance = read_band(1);
-  if (colour) luminance = 0.299 * luminance + 0.587 * read_band(2) + 0.114 * read_band(3);
-  luminance.convertTo(grey, CV_8U);
+  if (impl_->is_colour()) {
+    cv::Mat colour;
+    cv::merge(std::vector<cv::Mat>{read_band(1), read_band(2), read_band(3)}, colour);
+    cv::transform(colour, grey, cv::Matx13f(0.299F, 0.587F, 0.114F));
+  } else {
+    grey = read_band(1);
+    if (const cv::Mat palette = impl_->palette(); !palette.empty()) cv::LUT(grey, palette, grey);
+  }
   if (valid != nullptr) impl_->read_mask(window, inside, *valid);
   return grey;
 }
 
 cv::Mat Raster::read_float(const cv::Rect& window) const {
+  cv::Mat values(window.size(), CV_32F, cv::Scalar(std::numeric_limits<float>::quiet_NaN()));
   const cv::Rect inside = impl_->clip(window);
-  cv::Mat values(window.size(), CV_32F, cv::Scalar(0));
-  cv::Mat mask = cv::Mat::zeros(window.size(), CV_8U);
-  if (!inside.empty()) {
-    impl_->read(1, window, inside, values, GDT_Float32);
-    impl_->read_mask(window, inside, mask);
-  }
-  values.setTo(std::numeric_limits<float>::quiet_NaN(), mask == 0);
+  if (!inside.empty()) sample_float(inside, inside.size()).copyTo(values(inside - window.tl()));
   return values;
+}
+
+cv::Mat Raster::sample_float(const cv::Rect& window, const cv::Size& size) const {
+  return impl_->sample(window, size);
+}
+
+std::vector<std::filesystem::path> raster_files(const std::filesystem::path& file) {
+  register_drivers();
+  std::vector<std::filesystem::path> files;
+  std::vector<std::filesystem::path> open{file};
+  while (!open.empty()) {
+    const std::filesystem::path next = open.back();
+    open.pop_back();
+    if (std::find(files.begin(), files.end(), next) != files.end()) continue;
+    files.push_back(next);
+    CPLErrorReset();
+    const Dataset dataset(GDALDataset::Open(next.c_str(), GDAL_OF_RASTER | GDAL_OF_READONLY));
+    if (!dataset) {
+      if (next == file) fail(file, "cannot open as a raster");
+      continue;  // a world file or the like
+    }
+    const CPLStringList list(dataset->GetFileList());
+    for (int i = 0; i < list.size(); ++i) open.emplace_back(list[i]);
+  }
+  std::sort(files.begin() + 1, files.end());
+  return files;
 }
 
 void write_geotiff(const std::filesystem::path& file, const cv::Mat& image, const RasterGrid& grid, int jpeg_quality) {

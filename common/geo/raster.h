@@ -9,6 +9,7 @@
 #include <memory>
 #include <optional>
 #include <string>
+#include <vector>
 
 #include <Eigen/Core>
 #include <opencv2/core.hpp>
@@ -37,18 +38,25 @@ class Raster {
   // Ground metres per pixel at a pixel: geometric mean of the steps to the right and down.
   double metres_per_pixel(const Eigen::Vector2d& pixel) const;
 
-  // 8-bit luminance of a window (from RGB or grey, 16-bit stretched by its full range). `valid` (optional) is 0
-  // where there is no data by mask, alpha or nodata. The window is clipped to the raster, the rest is invalid.
+  // 8-bit luminance of a window, from RGB, grey or a palette. Other than 8-bit values are stretched, by the range that
+  // holds 99 % of a sample of the whole raster. `valid` (optional) is 0 where there is no data by mask, alpha or
+  // nodata. The window is clipped to the raster, the rest is invalid.
   // Throws std::runtime_error naming file and window when reading fails (truncated file).
   cv::Mat read_grey(const cv::Rect& window, cv::Mat* valid = nullptr) const;
 
   // Band 1 as float, NaN where there is no data. As read_grey otherwise.
   cv::Mat read_float(const cv::Rect& window) const;
+  // The same of `size` samples spread evenly over a window that lies within the raster.
+  cv::Mat sample_float(const cv::Rect& window, const cv::Size& size) const;
 
  private:
   struct Impl;
   std::unique_ptr<Impl> impl_;
 };
+
+// All files that a raster is made of: itself, masks and world files, and of a mosaic (VRT) its parts, however nested.
+// Throws std::runtime_error as the constructor of Raster does when it cannot be opened.
+std::vector<std::filesystem::path> raster_files(const std::filesystem::path& file);
 
 // A CRS and affine transform to write a raster with.
 struct RasterGrid {

@@ -8,29 +8,30 @@
 #include "common/math/statistics.h"
 
 namespace orthonav::map_server {
+namespace {
+
+constexpr double kMaxHeld = 4e6;  // heights of a model held at once: 16 MB
+
+}  // namespace
 
 GroundSurface::GroundSurface(double height) : reference_height_(height) {}
 
 GroundSurface::GroundSurface(const std::filesystem::path& model, const std::vector<Geodetic>& area)
     : reference_height_(0), model_(std::make_unique<Raster>(model)) {
-  Eigen::Array2d low(1e300, 1e300);
-  Eigen::Array2d high = -low;
-  for (const Geodetic& position : area) {
-    const Eigen::Array2d pixel = model_->geodetic_to_pixel(position).array();
-    low = low.min(pixel);
-    high = high.max(pixel);
-  }
-  const Eigen::Array2d size(model_->width(), model_->height());
-  low = (low.floor() - 2).max(0);
-  high = (high.ceil() + 3).min(size);
   const std::string no_data = model.string() + ": the elevation model has no data in the map's area";
-  if (!(low < high).all()) throw std::runtime_error(no_data);
-  corner_ = cv::Point(static_cast<int>(low.x()), static_cast<int>(low.y()));
-  heights_ = model_->read_float(cv::Rect(corner_, cv::Point(static_cast<int>(high.x()), static_cast<int>(high.y()))));
+  all_.window = window_around(area);
+  if (all_.window.empty()) throw std::runtime_error(no_data);
+  const double thinning =
+      std::max(1.0, std::sqrt(static_cast<double>(all_.window.width) * all_.window.height / kMaxHeld));
+  const cv::Size size(static_cast<int>(std::ceil(all_.window.width / thinning)),
+                      static_cast<int>(std::ceil(all_.window.height / thinning)));
+  all_.step_u = static_cast<double>(all_.window.width) / size.width;
+  all_.step_v = static_cast<double>(all_.window.height) / size.height;
+  all_.values = model_->sample_float(all_.window, size);
   std::vector<double> known;
-  for (int v = 0; v < heights_.rows; ++v) {
-    for (int u = 0; u < heights_.cols; ++u) {
-      const double height = heights_.at<float>(v, u);
+  for (int v = 0; v < all_.values.rows; ++v) {
+    for (int u = 0; u < all_.values.cols; ++u) {
+      const double height = all_.values.at<float>(v, u);
       if (std::isfinite(height)) known.push_back(height);
     }
   }
@@ -38,20 +39,51 @@ GroundSurface::GroundSurface(const std::filesystem::path& model, const std::vect
   reference_height_ = median(std::move(known));
 }
 
-double GroundSurface::height_at(const Geodetic& position) const {
-  if (!model_) return reference_height_;
-  const Eigen::Vector2d pixel = model_->geodetic_to_pixel(position) - Eigen::Vector2d(corner_.x, corner_.y);
-  if (!(pixel.x() > -1 && pixel.y() > -1 && pixel.x() < heights_.cols && pixel.y() < heights_.rows)) {
+cv::Rect GroundSurface::window_around(const std::vector<Geodetic>& area) const {
+  Eigen::Array2d low(1e300, 1e300);
+  Eigen::Array2d high = -low;
+  for (const Geodetic& position : area) {
+    const Eigen::Array2d pixel = model_->geodetic_to_pixel(position).array();
+    low = low.min(pixel);
+    high = high.max(pixel);
+  }
+  low = (low.floor() - 2).max(0);
+  high = (high.ceil() + 3).min(Eigen::Array2d(model_->width(), model_->height()));
+  if (!(low < high).all()) return {};
+  return {cv::Point(static_cast<int>(low.x()), static_cast<int>(low.y())),
+          cv::Point(static_cast<int>(high.x()), static_cast<int>(high.y()))};
+}
+
+void GroundSurface::focus(const std::vector<Geodetic>& area) {
+  if (!model_ || (all_.step_u <= 1 && all_.step_v <= 1)) return;
+  near_ = {};
+  near_.window = window_around(area);
+  if (!near_.window.empty()) near_.values = model_->read_float(near_.window);
+}
+
+double GroundSurface::Heights::at(const Eigen::Vector2d& pixel) const {
+  const Eigen::Vector2d place((pixel.x() - window.x + 0.5) / step_u - 0.5, (pixel.y() - window.y + 0.5) / step_v - 0.5);
+  if (!(place.x() > -1 && place.y() > -1 && place.x() < values.cols && place.y() < values.rows)) {
     return std::numeric_limits<double>::quiet_NaN();
   }
-  const int u = static_cast<int>(std::floor(pixel.x()));
-  const int v = static_cast<int>(std::floor(pixel.y()));
-  const double a = pixel.x() - u;
-  const double b = pixel.y() - v;
+  const int u = static_cast<int>(std::floor(place.x()));
+  const int v = static_cast<int>(std::floor(place.y()));
+  const double a = place.x() - u;
+  const double b = place.y() - v;
   const auto value = [&](int du, int dv) {
-    return heights_.at<float>(std::clamp(v + dv, 0, heights_.rows - 1), std::clamp(u + du, 0, heights_.cols - 1));
+    return values.at<float>(std::clamp(v + dv, 0, values.rows - 1), std::clamp(u + du, 0, values.cols - 1));
   };
   return (1 - b) * ((1 - a) * value(0, 0) + a * value(1, 0)) + b * ((1 - a) * value(0, 1) + a * value(1, 1));
+}
+
+double GroundSurface::height_at(const Geodetic& position) const {
+  if (!model_) return reference_height_;
+  const Eigen::Vector2d pixel = model_->geodetic_to_pixel(position);
+  if (near_.window.contains(
+          cv::Point(static_cast<int>(std::floor(pixel.x())), static_cast<int>(std::floor(pixel.y()))))) {
+    return near_.at(pixel);
+  }
+  return all_.at(pixel);
 }
 
 Geodetic GroundSurface::at(const Geodetic& position) const {

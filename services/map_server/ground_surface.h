@@ -25,13 +25,16 @@ class GroundSurface {
   // Flat ground, m above the ellipsoid.
   explicit GroundSurface(double height);
 
-  // An elevation model of ellipsoidal heights, any raster; the part around `area` is held in memory. Bilinear.
-  // Throws std::runtime_error naming the file when it cannot be read or has no data in the area.
+  // An elevation model of ellipsoidal heights, any raster. Bilinear. The part around `area` is held in memory, a large
+  // one thinned out. Throws std::runtime_error naming the file when it cannot be read or has no data in the area.
   GroundSurface(const std::filesystem::path& model, const std::vector<Geodetic>& area);
+
+  // Holds what lies around these points in full, where the model had to be thinned out. Throws as the constructor does.
+  void focus(const std::vector<Geodetic>& area);
 
   bool has_model() const { return model_ != nullptr; }
 
-  // The flat ground's height, or the median height of the model in the area: z = 0 of G.
+  // The flat ground's height, or the median height of the (thinned out) model in the area: z = 0 of G.
   double reference_height() const { return reference_height_; }
 
   // `position` with the ground's height at its latitude and longitude.
@@ -41,12 +44,20 @@ class GroundSurface {
   GroundPoint below(const EnuFrame& frame, const Eigen::Vector2d& en) const;
 
  private:
+  // Part of the model: heights at every `step` pixels of its raster.
+  struct Heights {
+    cv::Rect window;
+    double step_u = 1, step_v = 1;
+    cv::Mat values;                                 // CV_32F, NaN without data
+    double at(const Eigen::Vector2d& pixel) const;  // NaN outside
+  };
+  cv::Rect window_around(const std::vector<Geodetic>& area) const;
   double height_at(const Geodetic& position) const;  // NaN without data
 
   double reference_height_;
   std::unique_ptr<Raster> model_;
-  cv::Point corner_;  // of heights_ in the model's raster
-  cv::Mat heights_;   // CV_32F
+  Heights all_;
+  Heights near_;  // empty unless all_ is thinned out
 };
 
 }  // namespace orthonav::map_server

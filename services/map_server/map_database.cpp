@@ -6,13 +6,10 @@
 #include <cerrno>
 #include <cmath>
 #include <cstddef>
-#include <cstring>
-#include <random>
 #include <system_error>
 
 #include <fcntl.h>
 #include <fmt/format.h>
-#include <sys/mman.h>
 #include <sys/stat.h>
 #include <unistd.h>
 
@@ -23,10 +20,7 @@ static_assert(std::endian::native == std::endian::little, "the .onmap format is 
 static_assert(sizeof(Eigen::Vector3f) == 3 * sizeof(float));
 
 constexpr std::array<char, 8> kMagic = {'O', 'N', 'M', 'A', 'P', '\r', '\n', '\x1a'};
-constexpr uint32_t kVersion = 2;
-constexpr int kDescriptorBytes = 128;
-constexpr size_t kFeatureBytes = sizeof(Eigen::Vector3f) + kDescriptorBytes;
-constexpr int kMaxTiles = 100'000'000;
+constexpr uint32_t kVersion = 3;
 
 // All members are naturally aligned: no padding to leave undefined.
 struct Header {
@@ -34,36 +28,73 @@ struct Header {
   uint32_t version;
   uint32_t header_bytes;
   uint64_t file_bytes;
-  std::array<char, 16> fingerprint;
   double anchor_latitude_deg, anchor_longitude_deg, anchor_height;
-  double metres_per_pixel;
-  double east_min, east_max, north_min, north_max;
-  double keypoint_size, keypoint_stride, tile_size;
-  int64_t num_features;
-  int32_t tile_columns, tile_rows;
+  int32_t num_levels;
   int32_t descriptor_bytes;
-  int32_t has_surface;
-  int32_t features;  // a FeatureKind
-  int32_t unused;
+  uint64_t levels_checksum;
   uint64_t index_checksum;
   uint64_t header_checksum;  // of all members before
 };
-static_assert(std::is_trivially_copyable_v<Header> && sizeof(Header) == 176);
+static_assert(std::is_trivially_copyable_v<Header> && sizeof(Header) == 80);
 
-struct IndexEntry {
-  uint64_t offset;
-  uint64_t count;
-  uint64_t checksum;
+struct LevelRecord {
+  std::array<char, 16> fingerprint;
+  double metres_per_pixel;
+  double east_min, east_max, north_min, north_max;
+  double keypoint_size, keypoint_stride, tile_size;
+  int64_t num_features, num_without_data, num_without_texture;
+  int32_t tile_columns, tile_rows;
+  int32_t has_surface;
+  int32_t features;  // a FeatureKind
 };
-
-uint64_t checksum_of(const void* data, size_t size) {
-  Checksum checksum;
-  checksum.add(data, size);
-  return checksum.value();
-}
+static_assert(std::is_trivially_copyable_v<LevelRecord> && sizeof(LevelRecord) == 120);
+static_assert(std::is_trivially_copyable_v<TileEntry> && sizeof(TileEntry) == 24);
 
 uint64_t header_checksum(const Header& header) {
-  return checksum_of(&header, offsetof(Header, header_checksum));
+  return onmap::checksum_of(&header, offsetof(Header, header_checksum));
+}
+
+LevelRecord record_of(const MapDescription& level) {
+  LevelRecord record{};
+  std::copy(level.fingerprint.begin(), level.fingerprint.end(), record.fingerprint.begin());
+  record.metres_per_pixel = level.metres_per_pixel;
+  record.east_min = level.east_min;
+  record.east_max = level.east_max;
+  record.north_min = level.north_min;
+  record.north_max = level.north_max;
+  record.keypoint_size = level.keypoint_size;
+  record.keypoint_stride = level.keypoint_stride;
+  record.tile_size = level.tile_size;
+  record.num_features = level.num_features;
+  record.num_without_data = level.num_without_data;
+  record.num_without_texture = level.num_without_texture;
+  record.tile_columns = level.tile_columns;
+  record.tile_rows = level.tile_rows;
+  record.has_surface = level.has_surface ? 1 : 0;
+  record.features = static_cast<int32_t>(level.features);
+  return record;
+}
+
+MapDescription level_of(const LevelRecord& record, const Header& header) {
+  MapDescription level;
+  level.fingerprint.assign(record.fingerprint.begin(), record.fingerprint.end());
+  level.anchor = {header.anchor_latitude_deg, header.anchor_longitude_deg, header.anchor_height};
+  level.metres_per_pixel = record.metres_per_pixel;
+  level.east_min = record.east_min;
+  level.east_max = record.east_max;
+  level.north_min = record.north_min;
+  level.north_max = record.north_max;
+  level.keypoint_size = record.keypoint_size;
+  level.keypoint_stride = record.keypoint_stride;
+  level.tile_size = record.tile_size;
+  level.num_features = record.num_features;
+  level.num_without_data = record.num_without_data;
+  level.num_without_texture = record.num_without_texture;
+  level.tile_columns = record.tile_columns;
+  level.tile_rows = record.tile_rows;
+  level.has_surface = record.has_surface != 0;
+  level.features = static_cast<FeatureKind>(record.features);
+  return level;
 }
 
 [[noreturn]] void damaged(const std::filesystem::path& file, const std::string& what) {
@@ -71,22 +102,75 @@ uint64_t header_checksum(const Header& header) {
       fmt::format("map database {} is {}: build it again with orthonav-build-map", file.string(), what));
 }
 
+// False when the file ends before `size` bytes or cannot be read.
+bool read_at(int descriptor, uint64_t offset, void* data, size_t size) {
+  auto* out = static_cast<char*>(data);
+  while (size > 0) {
+    const ssize_t got = ::pread(descriptor, out, size, static_cast<off_t>(offset));
+    if (got < 0 && errno == EINTR) continue;
+    if (got <= 0) return false;
+    out += got;
+    offset += static_cast<uint64_t>(got);
+    size -= static_cast<size_t>(got);
+  }
+  return true;
+}
+
 }  // namespace
 
-void Checksum::add(const void* data, size_t size) {
-  constexpr uint64_t kPrime = 1099511628211ULL;
-  const auto* bytes = static_cast<const unsigned char*>(data);
-  while (size >= 8) {
-    uint64_t word = 0;
-    std::memcpy(&word, bytes, 8);
-    value_ = (value_ ^ word) * kPrime;
-    // The multiplication moves information upwards only: bring it down again.
-    value_ ^= value_ >> 32;
-    bytes += 8;
-    size -= 8;
-  }
-  for (; size > 0; --size, ++bytes) value_ = (value_ ^ *bytes) * kPrime;
+namespace onmap {
+
+uint64_t checksum_of(const void* data, size_t size) {
+  Checksum checksum;
+  checksum.add(data, size);
+  return checksum.value();
 }
+
+size_t head_bytes(const std::vector<MapDescription>& levels) {
+  size_t bytes = sizeof(Header) + levels.size() * sizeof(LevelRecord);
+  for (const MapDescription& level : levels) bytes += static_cast<size_t>(level.num_tiles()) * sizeof(TileEntry);
+  return bytes;
+}
+
+std::string head_of(const std::vector<MapDescription>& levels, const std::vector<TileEntry>& index,
+                    uint64_t file_bytes) {
+  std::vector<LevelRecord> records;
+  records.reserve(levels.size());
+  for (const MapDescription& level : levels) records.push_back(record_of(level));
+  const Geodetic& anchor = levels.front().anchor;
+  Header header{};
+  header.magic = kMagic;
+  header.version = kVersion;
+  header.header_bytes = sizeof(Header);
+  header.file_bytes = file_bytes;
+  header.anchor_latitude_deg = anchor.latitude_deg;
+  header.anchor_longitude_deg = anchor.longitude_deg;
+  header.anchor_height = anchor.height;
+  header.num_levels = static_cast<int32_t>(levels.size());
+  header.descriptor_bytes = kDescriptorBytes;
+  header.levels_checksum = checksum_of(records.data(), records.size() * sizeof(LevelRecord));
+  header.index_checksum = checksum_of(index.data(), index.size() * sizeof(TileEntry));
+  header.header_checksum = header_checksum(header);
+  std::string head;
+  head.append(reinterpret_cast<const char*>(&header), sizeof(header));
+  head.append(reinterpret_cast<const char*>(records.data()), records.size() * sizeof(LevelRecord));
+  head.append(reinterpret_cast<const char*>(index.data()), index.size() * sizeof(TileEntry));
+  return head;
+}
+
+std::string pack(const TileFeatures& features) {
+  if (features.descriptors.size() != features.positions.size() * kDescriptorBytes) {
+    throw std::logic_error("positions and descriptors differ in number");
+  }
+  std::string bytes;
+  bytes.reserve(features.positions.size() * kFeatureBytes);
+  bytes.append(reinterpret_cast<const char*>(features.positions.data()),
+               features.positions.size() * sizeof(Eigen::Vector3f));
+  bytes.append(reinterpret_cast<const char*>(features.descriptors.data()), features.descriptors.size());
+  return bytes;
+}
+
+}  // namespace onmap
 
 int MapDescription::tile_of(double east, double north) const {
   const double column = std::floor((east - east_min) / tile_size);
@@ -96,190 +180,110 @@ int MapDescription::tile_of(double east, double north) const {
 }
 
 MapDatabase::MapDatabase(const std::filesystem::path& file) : file_(file) {
-  const int descriptor = ::open(file.c_str(), O_RDONLY | O_CLOEXEC);
-  if (descriptor < 0) {
+  descriptor_ = ::open(file.c_str(), O_RDONLY | O_CLOEXEC);
+  if (descriptor_ < 0) {
     throw MapDatabaseError(
         fmt::format("cannot open map database {}: {}", file.string(), std::generic_category().message(errno)));
   }
-  struct stat status {};
-  const bool known = ::fstat(descriptor, &status) == 0;
-  size_ = known ? static_cast<size_t>(status.st_size) : 0;
-  if (size_ < sizeof(Header)) {
-    ::close(descriptor);
-    damaged(file_, "no map database, or truncated");
-  }
-  void* mapped = ::mmap(nullptr, size_, PROT_READ, MAP_PRIVATE, descriptor, 0);
-  ::close(descriptor);
-  if (mapped == MAP_FAILED) {  // NOLINT(performance-no-int-to-ptr)
-    throw MapDatabaseError(
-        fmt::format("cannot map {} into memory: {}", file.string(), std::generic_category().message(errno)));
-  }
-  data_ = static_cast<const std::byte*>(mapped);
   try {
     open();
   } catch (...) {
-    ::munmap(mapped, size_);
+    ::close(descriptor_);
     throw;
   }
 }
 
 void MapDatabase::open() {
+  struct stat status {};
+  const uint64_t size = ::fstat(descriptor_, &status) == 0 ? static_cast<uint64_t>(status.st_size) : 0;
   Header header{};
-  std::memcpy(&header, data_, sizeof(header));
+  if (size < sizeof(Header) || !read_at(descriptor_, 0, &header, sizeof(header))) {
+    damaged(file_, "no map database, or truncated");
+  }
   if (header.magic != kMagic) damaged(file_, "no map database (.onmap)");
   if (header.version != kVersion) {
     damaged(file_, fmt::format("of format version {}, this program reads version {}", header.version, kVersion));
   }
   if (header.header_checksum != header_checksum(header) || header.header_bytes != sizeof(Header) ||
-      header.descriptor_bytes != kDescriptorBytes || header.features < 0 ||
-      header.features > static_cast<int32_t>(FeatureKind::kRootSift)) {
+      header.descriptor_bytes != onmap::kDescriptorBytes || header.num_levels < 1 ||
+      header.num_levels > static_cast<int32_t>(onmap::kMaxLevels)) {
     damaged(file_, "damaged (header)");
   }
-  if (header.file_bytes != size_) {
-    damaged(file_, fmt::format("truncated ({} of {} bytes)", size_, header.file_bytes));
+  if (header.file_bytes != size) damaged(file_, fmt::format("truncated ({} of {} bytes)", size, header.file_bytes));
+
+  std::vector<LevelRecord> records(static_cast<size_t>(header.num_levels));
+  const size_t record_bytes = records.size() * sizeof(LevelRecord);
+  if (!read_at(descriptor_, sizeof(Header), records.data(), record_bytes) ||
+      onmap::checksum_of(records.data(), record_bytes) != header.levels_checksum) {
+    damaged(file_, "damaged (levels)");
   }
-  const int64_t num_tiles = static_cast<int64_t>(header.tile_columns) * header.tile_rows;
-  if (num_tiles < 0 || num_tiles > kMaxTiles ||
-      sizeof(Header) + static_cast<uint64_t>(num_tiles) * sizeof(IndexEntry) > size_) {
-    damaged(file_, "damaged (tiles)");
+  int64_t num_tiles = 0;
+  for (const LevelRecord& record : records) {
+    num_tiles += static_cast<int64_t>(record.tile_columns) * record.tile_rows;
+    if (record.tile_columns < 0 || record.tile_rows < 0 || num_tiles > onmap::kMaxTiles || record.features < 0 ||
+        record.features > static_cast<int32_t>(FeatureKind::kRootSift)) {
+      damaged(file_, "damaged (tiles)");
+    }
+    levels_.push_back(level_of(record, header));
   }
-  const auto* index = data_ + sizeof(Header);
-  if (checksum_of(index, static_cast<size_t>(num_tiles) * sizeof(IndexEntry)) != header.index_checksum) {
+  if (onmap::head_bytes(levels_) > size) damaged(file_, "damaged (tiles)");
+  index_.resize(static_cast<size_t>(num_tiles));
+  const size_t index_bytes = index_.size() * sizeof(TileEntry);
+  if (!read_at(descriptor_, sizeof(Header) + record_bytes, index_.data(), index_bytes) ||
+      onmap::checksum_of(index_.data(), index_bytes) != header.index_checksum) {
     damaged(file_, "damaged (index)");
   }
-  uint64_t num_features = 0;
-  for (int64_t tile = 0; tile < num_tiles; ++tile) {
-    IndexEntry entry{};
-    std::memcpy(&entry, index + static_cast<size_t>(tile) * sizeof(IndexEntry), sizeof(entry));
-    if (entry.count > size_ / kFeatureBytes || entry.offset > size_ - entry.count * kFeatureBytes ||
-        entry.offset % alignof(Eigen::Vector3f) != 0 ||
-        checksum_of(data_ + entry.offset, entry.count * kFeatureBytes) != entry.checksum) {
-      damaged(file_, fmt::format("damaged (tile {})", tile));
+  size_t next = 0;
+  for (const MapDescription& level : levels_) {
+    uint64_t num_features = 0;
+    for (int i = 0; i < level.num_tiles(); ++i, ++next) {
+      const TileEntry& entry = index_[next];
+      if (entry.count > size / onmap::kFeatureBytes || entry.offset > size - entry.count * onmap::kFeatureBytes) {
+        damaged(file_, fmt::format("damaged (tile {})", i));
+      }
+      num_features += entry.count;
     }
-    num_features += entry.count;
+    if (num_features != static_cast<uint64_t>(level.num_features)) damaged(file_, "damaged (number of features)");
   }
-  if (num_features != static_cast<uint64_t>(header.num_features)) damaged(file_, "damaged (number of features)");
-
-  description_.fingerprint.assign(header.fingerprint.begin(), header.fingerprint.end());
-  description_.anchor = {header.anchor_latitude_deg, header.anchor_longitude_deg, header.anchor_height};
-  description_.metres_per_pixel = header.metres_per_pixel;
-  description_.east_min = header.east_min;
-  description_.east_max = header.east_max;
-  description_.north_min = header.north_min;
-  description_.north_max = header.north_max;
-  description_.num_features = header.num_features;
-  description_.keypoint_size = header.keypoint_size;
-  description_.keypoint_stride = header.keypoint_stride;
-  description_.tile_size = header.tile_size;
-  description_.tile_columns = header.tile_columns;
-  description_.tile_rows = header.tile_rows;
-  description_.has_surface = header.has_surface != 0;
-  description_.features = static_cast<FeatureKind>(header.features);
 }
 
 MapDatabase::~MapDatabase() {
-  ::munmap(const_cast<std::byte*>(data_), size_);  // NOLINT: munmap's signature
+  ::close(descriptor_);
 }
 
-TileView MapDatabase::tile(int index) const {
-  if (index < 0 || index >= description_.num_tiles()) {
-    throw std::out_of_range(fmt::format("tile {} of {}", index, description_.num_tiles()));
-  }
-  IndexEntry entry{};
-  std::memcpy(&entry, data_ + sizeof(Header) + static_cast<size_t>(index) * sizeof(IndexEntry), sizeof(entry));
-  const auto* positions = reinterpret_cast<const Eigen::Vector3f*>(data_ + entry.offset);
-  const auto* descriptors =
-      reinterpret_cast<const uint8_t*>(data_ + entry.offset + entry.count * sizeof(Eigen::Vector3f));
-  return {{positions, entry.count}, {descriptors, entry.count * kDescriptorBytes}};
+int64_t MapDatabase::num_features() const {
+  int64_t sum = 0;
+  for (const MapDescription& level : levels_) sum += level.num_features;
+  return sum;
 }
 
-MapDatabaseWriter::MapDatabaseWriter(const std::filesystem::path& file, const MapDescription& description)
-    : file_(file), description_(description), index_(static_cast<size_t>(description.num_tiles())) {
-  if (description.fingerprint.size() != 16) throw std::logic_error("a fingerprint has 16 digits");
-  if (static_cast<int64_t>(description.tile_columns) * description.tile_rows > kMaxTiles) {
-    throw MapDatabaseError(
-        fmt::format("{} x {} tiles are too many: raise tile_size_m", description.tile_columns, description.tile_rows));
+TileFeatures MapDatabase::read(size_t entry) const {
+  const TileEntry& place = index_[entry];
+  std::vector<uint8_t> bytes(place.count * onmap::kFeatureBytes);
+  if (!read_at(descriptor_, place.offset, bytes.data(), bytes.size()) ||
+      onmap::checksum_of(bytes.data(), bytes.size()) != place.checksum) {
+    damaged(file_, fmt::format("damaged (tile {})", entry));
   }
-  description_.num_features = 0;
-  // Two programs may build the same file at once: each under a name of its own, and the last rename wins.
-  unfinished_ = file.string() + fmt::format(".{:08x}.unfinished", std::random_device{}());
-  out_.open(unfinished_, std::ios::binary | std::ios::trunc);
-  if (!out_) {
-    throw MapDatabaseError(
-        fmt::format("cannot create map database {}: {}", file.string(), std::generic_category().message(errno)));
-  }
-  end_ = sizeof(Header) + index_.size() * sizeof(IndexEntry);
-  const std::vector<char> room(static_cast<size_t>(end_), 0);
-  out_.write(room.data(), static_cast<std::streamsize>(room.size()));
+  TileFeatures tile;
+  tile.positions.resize(place.count);
+  const size_t position_bytes = place.count * sizeof(Eigen::Vector3f);
+  std::copy_n(bytes.data(), position_bytes, reinterpret_cast<uint8_t*>(tile.positions.data()));
+  tile.descriptors.assign(bytes.begin() + static_cast<std::ptrdiff_t>(position_bytes), bytes.end());
+  return tile;
 }
 
-MapDatabaseWriter::~MapDatabaseWriter() {
-  if (unfinished_.empty()) return;
-  out_.close();
-  std::error_code ignored;
-  std::filesystem::remove(unfinished_, ignored);
+TileFeatures MapDatabase::tile(int level, int index) const {
+  if (level < 0 || level >= static_cast<int>(levels_.size()) || index < 0 ||
+      index >= levels_[static_cast<size_t>(level)].num_tiles()) {
+    throw std::out_of_range(fmt::format("no tile {} of level {}", index, level));
+  }
+  auto entry = static_cast<size_t>(index);
+  for (int i = 0; i < level; ++i) entry += static_cast<size_t>(levels_[static_cast<size_t>(i)].num_tiles());
+  return read(entry);
 }
 
-void MapDatabaseWriter::write_tile(int index, const TileFeatures& features) {
-  Entry& entry = index_.at(static_cast<size_t>(index));
-  if (entry.offset != 0) throw std::logic_error("tile written twice");
-  if (features.descriptors.size() != features.positions.size() * kDescriptorBytes) {
-    throw std::logic_error("positions and descriptors differ in number");
-  }
-  std::vector<char> block(features.positions.size() * kFeatureBytes);
-  const size_t position_bytes = features.positions.size() * sizeof(Eigen::Vector3f);
-  std::copy_n(reinterpret_cast<const char*>(features.positions.data()), position_bytes, block.data());
-  std::copy(features.descriptors.begin(), features.descriptors.end(),
-            block.begin() + static_cast<std::ptrdiff_t>(position_bytes));
-  entry = {end_, features.positions.size(), checksum_of(block.data(), block.size())};
-  out_.write(block.data(), static_cast<std::streamsize>(block.size()));
-  end_ += block.size();
-  description_.num_features += static_cast<int64_t>(features.positions.size());
-}
-
-void MapDatabaseWriter::finish() {
-  for (Entry& entry : index_) {
-    if (entry.offset == 0) entry = {sizeof(Header), 0, checksum_of(nullptr, 0)};
-  }
-  std::vector<IndexEntry> index;
-  for (const Entry& entry : index_) index.push_back({entry.offset, entry.count, entry.checksum});
-  Header header{};
-  header.magic = kMagic;
-  header.version = kVersion;
-  header.header_bytes = sizeof(Header);
-  header.file_bytes = end_;
-  std::copy(description_.fingerprint.begin(), description_.fingerprint.end(), header.fingerprint.begin());
-  header.anchor_latitude_deg = description_.anchor.latitude_deg;
-  header.anchor_longitude_deg = description_.anchor.longitude_deg;
-  header.anchor_height = description_.anchor.height;
-  header.metres_per_pixel = description_.metres_per_pixel;
-  header.east_min = description_.east_min;
-  header.east_max = description_.east_max;
-  header.north_min = description_.north_min;
-  header.north_max = description_.north_max;
-  header.keypoint_size = description_.keypoint_size;
-  header.keypoint_stride = description_.keypoint_stride;
-  header.tile_size = description_.tile_size;
-  header.num_features = description_.num_features;
-  header.tile_columns = description_.tile_columns;
-  header.tile_rows = description_.tile_rows;
-  header.descriptor_bytes = kDescriptorBytes;
-  header.has_surface = description_.has_surface ? 1 : 0;
-  header.features = static_cast<int32_t>(description_.features);
-  header.index_checksum = checksum_of(index.data(), index.size() * sizeof(IndexEntry));
-  header.header_checksum = header_checksum(header);
-  out_.seekp(0);
-  out_.write(reinterpret_cast<const char*>(&header), sizeof(header));
-  out_.write(reinterpret_cast<const char*>(index.data()),
-             static_cast<std::streamsize>(index.size() * sizeof(IndexEntry)));
-  out_.close();
-  if (!out_) throw MapDatabaseError(fmt::format("cannot write map database {}: is the disk full?", file_.string()));
-  std::error_code error;
-  std::filesystem::rename(unfinished_, file_, error);
-  if (error) {
-    throw MapDatabaseError(fmt::format("cannot write map database {}: {}", file_.string(), error.message()));
-  }
-  unfinished_.clear();
+void MapDatabase::verify() const {
+  for (size_t i = 0; i < index_.size(); ++i) (void)read(i);
 }
 
 }  // namespace orthonav::map_server

@@ -2,17 +2,17 @@
 // (MAP_TILE_REQUEST), a few parts per millisecond, so that receivers' buffers never overflow.
 #pragma once
 
-#include <chrono>
-#include <deque>
 #include <filesystem>
 #include <memory>
-#include <vector>
+#include <optional>
+#include <string>
 
 #include "common/bus/node.h"
 #include "common/bus/service_main.h"
 #include "orthonav/map_tile_request_t.hpp"
 #include "services/map_server/map_database.h"
 #include "services/map_server/options.h"
+#include "services/map_server/tile_queue.h"
 
 namespace orthonav::map_server {
 
@@ -26,16 +26,27 @@ class MapServerService : public Service {
   const MapDatabase& database() const { return *database_; }
 
  private:
+  // A tile that is being sent.
+  struct Sending {
+    TileRequest request;
+    TileFeatures features;
+    int num_parts = 0;
+    int next_part = 0;
+    int end_part = 0;
+  };
   void handle(const map_tile_request_t& request);
+  void ask_for(const std::string& client, const TileRequest& request);
+  bool start_next();
   void send_parts();
+  void send_part(Sending& sending);
+  void refuse(const TileRequest& request);
   void publish_info();
 
   Node& node_;
   ServerOptions options_;
   std::unique_ptr<MapDatabase> database_;
-  std::deque<int> queue_;     // tiles to send, in order of request
-  std::vector<char> queued_;  // by tile: whether it is in queue_
-  int next_part_ = 0;         // of the tile at the front
+  TileQueue queue_;
+  std::optional<Sending> sending_;  // of the request at the front
 };
 
 }  // namespace orthonav::map_server

@@ -30,6 +30,8 @@ BuildOptions BuildOptions::from_config(ConfigNode& node) {
   node.read("metres_per_pixel", options.metres_per_pixel, 0, 100);
   node.read("tile_size_m", options.tile_size_m, 1, 10000);
   node.read("max_invalid_fraction", options.max_invalid_fraction, 0, 1);
+  node.read("min_contrast", options.min_contrast, 0, 128);
+  node.read("levels", options.levels, 1, 8);
   node.read("ground_height_m", options.ground_height_m, -1000, 10000);
   node.read("dem", options.dem);
   if (options.dem != "auto" && options.dem != "none") {

@@ -4,6 +4,7 @@
 #include <chrono>
 #include <cmath>
 #include <limits>
+#include <utility>
 
 #include <fmt/format.h>
 #include <spdlog/spdlog.h>
@@ -21,6 +22,18 @@ constexpr double kRadian = M_PI / 180.0;
 // Keyframes without a compass sample after them, waiting: more mean that the compass has stopped.
 constexpr size_t kMaxPending = 16;
 
+MapLevel level_of(const map_info_t& info) {
+  MapLevel level;
+  level.map_fingerprint = info.map_fingerprint;
+  level.level = info.level;
+  level.num_levels = info.num_levels;
+  level.anchor = {info.anchor_latitude_deg, info.anchor_longitude_deg, info.anchor_height};
+  level.geometry = {info.metres_per_pixel, info.keypoint_size, info.keypoint_stride};
+  level.layout = {info.fingerprint, info.tile_columns, info.tile_rows, info.num_features,
+                  info.tile_size,   info.east_min,     info.north_min};
+  return level;
+}
+
 }  // namespace
 
 RegistrationService::Setup RegistrationService::read(const std::filesystem::path& config_folder) {
@@ -33,10 +46,8 @@ RegistrationService::Setup RegistrationService::read(const std::filesystem::path
   node.read("max_compass_gap", options.max_compass_gap, 0, 60);
   node.read("image_buffer", options.image_buffer, 1, 10000);
   ConfigNode map = node.child_or_empty("map");
-  map.read("max_features", options.max_features);
-  map.read("max_outstanding_tiles", options.max_outstanding_tiles, 1, 100'000);
   map.read("request_period_ms", options.request_period_ms, 1, 60'000);
-  map.read("retry_ms", options.retry_ms, 1, 600'000);
+  options.map = MapClientOptions::from_config(map);
   map.finish();
   node.finish();
   // aircraft.yaml has parts that are other services' to read, so not every key of it is known here.
@@ -56,7 +67,8 @@ RegistrationService::RegistrationService(Node& node, const Setup& setup)
       options_(setup.options),
       camera_(setup.camera),
       registrar_(setup.options.registrar, setup.camera),
-      headings_(static_cast<int64_t>(setup.options.max_compass_gap * 1e6)) {
+      headings_(static_cast<int64_t>(setup.options.max_compass_gap * 1e6)),
+      map_client_(setup.options.map) {
   node_.subscribe<image_t>(
       channel::kCamera, Delivery::kLatest, [this](const image_t& image) { handle(image); }, 30);
   node_.subscribe<compass_t>(channel::kCompass, Delivery::kAll, [this](const compass_t& compass) { handle(compass); });
@@ -65,6 +77,8 @@ RegistrationService::RegistrationService(Node& node, const Setup& setup)
                                   [this](const vio_keyframe_t& keyframe) { handle(keyframe); });
   node_.subscribe<map_info_t>(channel::kMapInfo, Delivery::kLatest, [this](const map_info_t& info) { handle(info); });
   node_.subscribe<map_tile_t>(channel::kMapTile, Delivery::kAll, [this](const map_tile_t& tile) { handle(tile); });
+  node_.subscribe<nav_state_t>(channel::kNavState, Delivery::kLatest,
+                               [this](const nav_state_t& state) { handle(state); });
   node_.every(std::chrono::milliseconds(options_.request_period_ms), [this] { request_tiles(); });
   node_.every(std::chrono::seconds(1), [this] { report_state(); });
   report_state();
@@ -96,55 +110,73 @@ void RegistrationService::handle(const compass_t& compass) {
 }
 
 void RegistrationService::handle(const map_info_t& info) {
-  if (info_ && info.fingerprint == info_->fingerprint) return;
-  if (info.fingerprint == problem_fingerprint_ && !map_problem_.empty()) return;
-  if (info_) spdlog::info("another map: {} in place of {}", info.map_name, info_->map_name);
-  info_.reset();
-  registrar_.clear_map();
-  store_ = TileStore();
-  const MapLayout layout{info.fingerprint, info.tile_columns, info.tile_rows, info.num_features, options_.max_features};
-  map_problem_ = layout.problem();
-  if (map_problem_.empty() && info.descriptor_size != kSiftBytes) {
-    map_problem_ = fmt::format("map has descriptors of {} bytes", info.descriptor_size);
+  if (info.fingerprint == problem_fingerprint_) return;
+  const MapLevel level = level_of(info);
+  std::string problem = level.layout.problem();
+  if (problem.empty() && info.descriptor_size != kSiftBytes) {
+    problem = fmt::format("map has descriptors of {} bytes", info.descriptor_size);
   }
   const bool detected = info.keypoint_size == 0;
-  if (map_problem_.empty() && !(info.metres_per_pixel > 0 && std::isfinite(info.metres_per_pixel) &&
-                                (detected || (info.keypoint_size >= 2 && info.keypoint_size <= 128)) &&
-                                std::isfinite(info.anchor_latitude_deg) && std::isfinite(info.anchor_longitude_deg) &&
-                                std::isfinite(info.anchor_height))) {
-    map_problem_ = "map's pixel size, keypoint size or anchor is out of range";
+  if (problem.empty() && !(info.metres_per_pixel > 0 && std::isfinite(info.metres_per_pixel) &&
+                           (detected || (info.keypoint_size >= 2 && info.keypoint_size <= 128)) && info.level >= 0 &&
+                           info.level < info.num_levels && std::isfinite(info.anchor_latitude_deg) &&
+                           std::isfinite(info.anchor_longitude_deg) && std::isfinite(info.anchor_height))) {
+    problem = "map's pixel size, keypoint size, level or anchor is out of range";
   }
   const char* wanted = features_for(options_.registrar.method);
-  if (map_problem_.empty() && info.features != wanted) {
-    map_problem_ = fmt::format("method {} needs a map with features: {} (map_server.yaml), this one has {}",
-                               name_of(options_.registrar.method), wanted, info.features);
+  if (problem.empty() && info.features != wanted) {
+    problem = fmt::format("method {} needs a map with features: {} (map_server.yaml), this one has {}",
+                          name_of(options_.registrar.method), wanted, info.features);
   }
-  if (map_problem_.empty()) {
-    info_ = info;
-    store_ = TileStore(layout);
-    frame_ = EnuFrame({info.anchor_latitude_deg, info.anchor_longitude_deg, info.anchor_height});
+  if (problem.empty() ? map_client_.offer(level) : problem != map_problem_) {
+    // Another map than before, of use or not.
+    registrar_.clear_map();
+    map_fingerprint_.clear();
+    if (!problem.empty()) map_client_.clear();
+  }
+  map_problem_ = problem;
+  problem_fingerprint_ = problem.empty() ? "" : info.fingerprint;
+  if (problem.empty()) {
+    frame_ = EnuFrame(level.anchor);
   } else {
-    problem_fingerprint_ = info.fingerprint;
     node_.health().add("map.rejected");
   }
   report_state();
 }
 
+void RegistrationService::handle(const nav_state_t& state) {
+  if (!std::isfinite(state.latitude_deg) || !std::isfinite(state.longitude_deg)) return;
+  const Eigen::Vector3d p_G = frame_.to_enu({state.latitude_deg, state.longitude_deg, state.ellipsoidal_height});
+  map_client_.move(p_G.head<2>(), {state.v_G_B[0], state.v_G_B[1]},
+                   std::sqrt(state.covariance[0] + state.covariance[7]));
+}
+
 void RegistrationService::request_tiles() {
-  if (!info_ || registrar_.has_map()) return;
+  const MapLevel* level = map_client_.level();
+  if (level == nullptr) return;
   map_tile_request_t request;
   request.utime = node_.now();
   request.client = "registration";
-  request.fingerprint = info_->fingerprint;
-  request.tile = store_.ask(request.utime, options_.max_outstanding_tiles, 1000LL * options_.retry_ms);
+  request.fingerprint = level->layout.fingerprint;
+  for (const TileRequest& wanted : map_client_.requests(request.utime)) {
+    request.tile.push_back(wanted.tile);
+    request.part.push_back(wanted.part);
+  }
   request.num_tiles = static_cast<int32_t>(request.tile.size());
   if (request.num_tiles > 0) node_.publish(channel::kMapTileRequest, request);
-  node_.health().set("map.tiles_asked_again", static_cast<double>(store_.num_asked_again()));
+  const TileStore& store = map_client_.store();
+  Health& health = node_.health();
+  health.set("map.tiles_asked_again", static_cast<double>(store.num_asked_again()));
+  health.set("map.parts_asked_again", static_cast<double>(store.num_parts_again()));
+  health.set("map.tiles_given_up", static_cast<double>(store.num_given_up()));
+  health.set("map.tiles_beyond_memory", static_cast<double>(store.num_beyond_budget()));
+  health.set("map.memory_mb", static_cast<double>(store.memory_used()) * 1e-6);
 }
 
 void RegistrationService::handle(const map_tile_t& tile) {
-  if (!info_ || registrar_.has_map()) return;  // for another client
-  if (tile.fingerprint != info_->fingerprint) {
+  const MapLevel* level = map_client_.level();
+  if (level == nullptr) return;  // for another client
+  if (tile.fingerprint != level->layout.fingerprint) {
     node_.health().add("map.parts_of_another_map");
     return;
   }
@@ -154,36 +186,46 @@ void RegistrationService::handle(const map_tile_t& tile) {
   for (const auto& position : tile.position) positions.insert(positions.end(), position.begin(), position.end());
   part.positions = positions;
   part.descriptors = {tile.descriptors.data(), tile.descriptors.size()};
-  switch (store_.add(part, node_.now())) {
+  switch (map_client_.add(part, node_.now())) {
     case TileStore::Outcome::kAccepted:
       node_.health().add("map.parts_received");
       break;
     case TileStore::Outcome::kDuplicate:
       node_.health().add("map.parts_repeated");
       break;
+    case TileStore::Outcome::kUnwanted:
+      node_.health().add("map.parts_unwanted");
+      break;
+    case TileStore::Outcome::kRefused:
+      node_.health().reject("map_tile_refused", fmt::format("the map server has no tile {} to give", tile.tile));
+      break;
     case TileStore::Outcome::kMalformed:
       node_.health().reject("map_tile", fmt::format("part {} of map tile {} is malformed", tile.part, tile.tile));
       break;
   }
-  if (store_.complete()) take_map();
+  take_map();
 }
 
 void RegistrationService::take_map() {
-  const MapLayout layout = store_.layout();
-  if (store_.num_features() != layout.num_features) {
-    node_.health().reject("map", fmt::format("map has {} features in its tiles, {} were announced: fetching it again",
-                                             store_.num_features(), layout.num_features));
-    store_ = TileStore(layout);
-    return;
+  const int64_t mismatched = map_client_.num_mismatched();
+  std::optional<MapFeatures> features = map_client_.take_ready();
+  if (map_client_.num_mismatched() > mismatched) {
+    node_.health().reject("map", "map has another number of features in its tiles than announced: fetching it again");
   }
-  registrar_.set_map(store_.take(), {info_->metres_per_pixel, info_->keypoint_size, info_->keypoint_stride});
-  spdlog::info("map {} is here: {} features", info_->map_name, layout.num_features);
-  node_.health().set("map.features", static_cast<double>(layout.num_features));
+  if (!features) return;
+  const MapLevel& level = *map_client_.level();
+  const auto count = features->positions.size();
+  registrar_.set_map(std::move(*features), level.geometry);
+  map_fingerprint_ = level.layout.fingerprint;
+  spdlog::info("map {} is here: {} of {} features at {:.2f} m/px", map_fingerprint_, count, level.layout.num_features,
+               level.geometry.metres_per_pixel);
+  node_.health().set("map.features", static_cast<double>(count));
   report_state();
 }
 
 void RegistrationService::handle(const vio_keyframe_t& keyframe) {
   node_.health().add("keyframes.received");
+  map_client_.see(keyframe.height_above_ground / camera_.focal());
   if (!registrar_.has_map()) {
     node_.health().add("keyframes.before_map");
     return;
@@ -245,7 +287,7 @@ void RegistrationService::publish(const vio_keyframe_t& keyframe, const Fix& fix
   out.session = keyframe.session;
   out.keyframe_id = keyframe.id;
   out.method = name_of(options_.registrar.method);
-  out.map_fingerprint = info_->fingerprint;
+  out.map_fingerprint = map_fingerprint_;
   const double nan = std::numeric_limits<double>::quiet_NaN();
   const double full_turn = 2 * M_PI;
   out.heading = heading ? std::fmod(heading->value + full_turn, full_turn) : nan;
@@ -261,11 +303,8 @@ void RegistrationService::report_state() {
   Health& health = node_.health();
   if (!map_problem_.empty()) {
     health.set_state(Health::State::kFailed, map_problem_);
-  } else if (!info_) {
-    health.set_state(Health::State::kStarting, "waiting for MAP_INFO: does orthonav-map-server run on this bus?");
   } else if (!registrar_.has_map()) {
-    health.set_state(Health::State::kStarting,
-                     fmt::format("fetching the map: {} of {} tiles", store_.num_complete(), store_.num_tiles()));
+    health.set_state(Health::State::kStarting, map_client_.waiting_for());
   } else if (health.counter("compass.received") == 0) {
     health.set_state(Health::State::kStarting, "waiting for COMPASS");
   } else if (health.counter("camera.received") == 0) {

@@ -17,10 +17,11 @@
 #include "orthonav/map_fix_t.hpp"
 #include "orthonav/map_info_t.hpp"
 #include "orthonav/map_tile_t.hpp"
+#include "orthonav/nav_state_t.hpp"
 #include "orthonav/vio_keyframe_t.hpp"
 #include "services/registration/heading_buffer.h"
+#include "services/registration/map_client.h"
 #include "services/registration/registrar.h"
-#include "services/registration/tile_store.h"
 
 namespace orthonav::registration {
 
@@ -30,10 +31,8 @@ struct ServiceOptions {
   double default_heading_stddev = M_PI / 60;  // rad, where the compass does not say
   double max_compass_gap = 0.3;               // s between a keyframe and the compass samples used for it
   int image_buffer = 100;                     // images kept for keyframes to come
-  int64_t max_features = 2'000'000;           // of a map
-  int max_outstanding_tiles = 64;             // asked for and not yet here
+  MapClientOptions map;
   int request_period_ms = 50;
-  int retry_ms = 1000;  // after which a tile is asked for again
 };
 
 class RegistrationService : public Service {
@@ -53,6 +52,7 @@ class RegistrationService : public Service {
   void handle(const compass_t& compass);
   void handle(const map_info_t& info);
   void handle(const map_tile_t& tile);
+  void handle(const nav_state_t& state);
   void handle(const vio_keyframe_t& keyframe);
   void request_tiles();
   void take_map();
@@ -71,10 +71,10 @@ class RegistrationService : public Service {
   std::deque<vio_keyframe_t> pending_;  // waiting for the compass sample after them
   int64_t newest_data_ = 0;             // utime of the newest image or compass sample
 
-  std::optional<map_info_t> info_;  // of the map being fetched or in use
-  std::string map_problem_;         // why the map on offer cannot be used
+  MapClient map_client_;
+  std::string map_fingerprint_;  // of the level in use; empty: none yet
+  std::string map_problem_;      // why the map on offer cannot be used
   std::string problem_fingerprint_;
-  TileStore store_;
   EnuFrame frame_{Geodetic{}};
   int64_t num_fixes_ = 0;
   int64_t num_tried_ = 0;

@@ -50,16 +50,20 @@ void write_orthophoto(const std::filesystem::path& file, const test::Texture& te
   write_geotiff(file, image, grid);
 }
 
+const MapDescription& finest(const MapDatabase& database) {
+  return database.levels().front();
+}
+
 using Lattice = std::map<std::pair<long, long>, std::pair<Eigen::Vector3f, std::vector<uint8_t>>>;
 
 Lattice lattice_of(const MapDatabase& database) {
   Lattice lattice;
-  for (int t = 0; t < database.description().num_tiles(); ++t) {
-    const TileView tile = database.tile(t);
+  for (int t = 0; t < finest(database).num_tiles(); ++t) {
+    const TileFeatures tile = database.tile(0, t);
     for (size_t i = 0; i < tile.positions.size(); ++i) {
-      const auto descriptor = tile.descriptors.subspan(i * kSiftBytes, kSiftBytes);
+      const auto descriptor = tile.descriptors.begin() + static_cast<std::ptrdiff_t>(i * kSiftBytes);
       lattice[{std::lround(tile.positions[i].x() / 3), std::lround(tile.positions[i].y() / 3)}] = {
-          tile.positions[i], {descriptor.begin(), descriptor.end()}};
+          tile.positions[i], {descriptor, descriptor + kSiftBytes}};
     }
   }
   return lattice;
@@ -106,8 +110,8 @@ TEST_F(MapOfOneGround, HasTheSamePositionsFromUtmWebMercatorAndWgs84Within5Cm) {
   std::map<std::string, Lattice> lattices;
   for (const auto& [name, raster] : rasters) {
     const MapDatabase database = build(raster, options);
-    EXPECT_NEAR(database.description().anchor.latitude_deg, kCorner.latitude_deg, 1e-8) << name;
-    EXPECT_NEAR(database.description().anchor.longitude_deg, kCorner.longitude_deg, 1e-8) << name;
+    EXPECT_NEAR(finest(database).anchor.latitude_deg, kCorner.latitude_deg, 1e-8) << name;
+    EXPECT_NEAR(finest(database).anchor.longitude_deg, kCorner.longitude_deg, 1e-8) << name;
     lattices[name] = lattice_of(database);
     ASSERT_GT(lattices[name].size(), 350u) << name;
   }
@@ -165,7 +169,7 @@ TEST_F(MapOfOneGround, PutsInterestPointsEveryTenPixelsFromTheCorner) {
   write_geotiff(file, texture_.picture({200, 150}, [](const Eigen::Vector2d& p) -> Eigen::Vector2d { return p * 0.3; }),
                 grid);
   const MapDatabase database = build(file, options);
-  const MapDescription& map = database.description();
+  const MapDescription& map = finest(database);
   EXPECT_NEAR(map.metres_per_pixel, kSigma / 0.9996, 1e-5);
   EXPECT_EQ(map.anchor.height, 430);
   EXPECT_EQ(map.keypoint_stride, 10);
@@ -174,7 +178,7 @@ TEST_F(MapOfOneGround, PutsInterestPointsEveryTenPixelsFromTheCorner) {
   EXPECT_EQ(map.num_features, 18 * 13 - 4);
   double west = 1e9, north = -1e9;
   for (int t = 0; t < map.num_tiles(); ++t) {
-    for (const Eigen::Vector3f& p : database.tile(t).positions) {
+    for (const Eigen::Vector3f& p : database.tile(0, t).positions) {
       EXPECT_EQ(map.tile_of(p.x(), p.y()), t);
       west = std::min(west, static_cast<double>(p.x()));
       north = std::max(north, static_cast<double>(p.y()));
@@ -192,11 +196,11 @@ TEST_F(MapOfOneGround, LeavesOutWhatHasNoDataAndNoTexture) {
   cv::Mat image = texture_.picture({300, 300}, [](const Eigen::Vector2d& p) -> Eigen::Vector2d { return p * 0.3; });
   image(cv::Rect(150, 0, 150, 300)).setTo(127);  // a lake
   write_geotiff(folder_ / "lake.tif", image, grid);
-  BuildResult result = build_map(folder_ / "lake.tif", {}, folder_ / "lake.onmap", nullptr);
-  EXPECT_GT(result.skipped_texture, 200);
-  for (int t = 0; t < result.description.num_tiles(); ++t) {
+  const MapDescription lake = build_map(folder_ / "lake.tif", {}, folder_ / "lake.onmap", nullptr).front();
+  EXPECT_GT(lake.num_without_texture, 200);
+  for (int t = 0; t < lake.num_tiles(); ++t) {
     const MapDatabase database(folder_ / "lake.onmap");
-    for (const Eigen::Vector3f& p : database.tile(t).positions) EXPECT_LT(p.x(), 63);
+    for (const Eigen::Vector3f& p : database.tile(0, t).positions) EXPECT_LT(p.x(), 63);
   }
   image.setTo(127);
   write_geotiff(folder_ / "empty.tif", image, grid);
@@ -229,17 +233,17 @@ TEST_F(MapOfOneGround, TakesHeightsFromAnElevationModel) {
   write_geotiff(model, heights, grid);
   BuildOptions options;  // dem: auto finds it by its name
   const MapDatabase database = build(raster, options);
-  ASSERT_TRUE(database.description().has_surface);
-  const EnuFrame frame(database.description().anchor);
-  for (int t = 0; t < database.description().num_tiles(); ++t) {
-    for (const Eigen::Vector3f& p : database.tile(t).positions) {
+  ASSERT_TRUE(finest(database).has_surface);
+  const EnuFrame frame(finest(database).anchor);
+  for (int t = 0; t < finest(database).num_tiles(); ++t) {
+    for (const Eigen::Vector3f& p : database.tile(0, t).positions) {
       EXPECT_NEAR(frame.to_geodetic(p.cast<double>()).height, 500 + 0.1 * p.x(), 0.02);
     }
   }
   options.dem = "none";
-  const BuildResult flat = build_map(raster, options, folder_ / "flat.onmap", nullptr);
-  EXPECT_FALSE(flat.description.has_surface);
-  EXPECT_NE(flat.description.fingerprint, database.description().fingerprint);
+  const MapDescription flat = build_map(raster, options, folder_ / "flat.onmap", nullptr).front();
+  EXPECT_FALSE(flat.has_surface);
+  EXPECT_NE(flat.fingerprint, finest(database).fingerprint);
 }
 
 TEST_F(MapOfOneGround, IsTheSameFromEveryBuild) {
@@ -255,7 +259,7 @@ TEST_F(MapOfOneGround, IsTheSameFromEveryBuild) {
 TEST_F(MapOfOneGround, KeepsTheDatabaseBesideTheRasterUntilSomethingChanges) {
   const auto raster = orthophoto("kept", "EPSG:32632", kSigma, kSigma);
   int builds = 0;
-  const auto count = [&](double done) { builds += done == 1.0 ? 1 : 0; };
+  const auto count = [&](const BuildProgress& progress) { builds += progress.done == progress.total ? 1 : 0; };
   BuildOptions options;
   const auto file = prepare_map(raster, options, count);
   EXPECT_EQ(file, raster.string() + ".grid.onmap");
@@ -264,7 +268,7 @@ TEST_F(MapOfOneGround, KeepsTheDatabaseBesideTheRasterUntilSomethingChanges) {
   options.keypoint_size = 16;
   prepare_map(raster, options, count);
   EXPECT_EQ(builds, 2);
-  EXPECT_EQ(MapDatabase(file).description().keypoint_size, 16);
+  EXPECT_EQ(MapDatabase(file).levels().front().keypoint_size, 16);
   std::filesystem::resize_file(file, std::filesystem::file_size(file) / 2);
   prepare_map(raster, options, count);
   EXPECT_EQ(builds, 3);
@@ -276,8 +280,8 @@ TEST_F(MapOfOneGround, KeepsTheDatabaseBesideTheRasterUntilSomethingChanges) {
   options.features = FeatureKind::kSift;
   const auto detected = prepare_map(raster, options, count);
   EXPECT_EQ(detected, raster.string() + ".sift.onmap");
-  EXPECT_EQ(MapDatabase(detected).description().keypoint_size, 0);
-  EXPECT_GT(MapDatabase(detected).description().num_features, 100);
+  EXPECT_EQ(MapDatabase(detected).levels().front().keypoint_size, 0);
+  EXPECT_GT(MapDatabase(detected).levels().front().num_features, 100);
 }
 
 TEST_F(MapOfOneGround, ARasterThatCannotBeUsedIsNamed) {
@@ -296,7 +300,8 @@ TEST_F(MapOfOneGround, ARasterThatCannotBeUsedIsNamed) {
 }
 
 TEST(BuildOptions, RefusesMisspeltKeysAndValuesOutOfRange) {
-  for (const char* text : {"keypoint_sise: 8", "keypoint_size: 1000", "features: both", "max_invalid_fraction: 2"}) {
+  for (const char* text :
+       {"keypoint_sise: 8", "keypoint_size: 1000", "features: both", "max_invalid_fraction: 2", "levels: 0"}) {
     ConfigNode node = ConfigNode::parse(text, "map_server.yaml");
     try {
       BuildOptions::from_config(node);

@@ -40,6 +40,8 @@ class FakeMapServer {
     info_.keypoint_size = 8;
     info_.keypoint_stride = 10;
     info_.features = "grid";
+    info_.num_levels = 1;
+    info_.map_fingerprint = fingerprint;
     info_.tile_size = 45;
     info_.east_max = 180;
     info_.north_min = -180;
@@ -59,7 +61,8 @@ class FakeMapServer {
   void handle(const lcm::ReceiveBuffer*, const std::string&, const map_tile_request_t* request) {
     if (!running || request->fingerprint != info_.fingerprint) return;
     ++requests;
-    for (const int tile : request->tile) {
+    for (size_t k = 0; k < request->tile.size(); ++k) {
+      const int tile = request->tile[k];
       std::vector<size_t> rows;
       for (size_t i = 0; i < features_.positions.size(); ++i) {
         const Eigen::Vector3f& p = features_.positions[i];
@@ -74,10 +77,11 @@ class FakeMapServer {
         message.part = part;
         message.num_parts = 2;
         message.descriptor_size = 128;
-        for (size_t k = static_cast<size_t>(part); k < rows.size(); k += 2) {
-          const Eigen::Vector3f& p = features_.positions[rows[k]];
+        if (request->part[k] >= 0 && request->part[k] != part) continue;
+        for (size_t i = static_cast<size_t>(part); i < rows.size(); i += 2) {
+          const Eigen::Vector3f& p = features_.positions[rows[i]];
           message.position.push_back({p.x(), p.y(), p.z()});
-          const uchar* d = features_.descriptors.ptr(static_cast<int>(rows[k]));
+          const uchar* d = features_.descriptors.ptr(static_cast<int>(rows[i]));
           message.descriptors.insert(message.descriptors.end(), d, d + 128);
         }
         message.num_features = static_cast<int32_t>(message.position.size());
@@ -236,6 +240,23 @@ TEST_F(RegistrationOnTheBus, AsksAgainForPartsThatWereLost) {
   expect_fix(fixes_.messages.front());
 }
 
+TEST_F(RegistrationOnTheBus, GoesOnWithoutATileThatTheServerRefuses) {
+  server_.running = false;
+  server_.announce();
+  pump();
+  map_tile_t refused{};
+  refused.fingerprint = "aaaaaaaaaaaaaaaa";
+  refused.tile = 0;  // far from where the capture looks
+  bus_.publish(channel::kMapTile, &refused);
+  pump();
+  EXPECT_EQ(node_.health().counter("rejected.map_tile_refused"), 1);
+  server_.running = true;
+  pass(3);
+  send_all(now_, 1);
+  ASSERT_EQ(fixes_.messages.size(), 1u);
+  expect_fix(fixes_.messages.front());
+}
+
 TEST_F(RegistrationOnTheBus, WaitsForAServerThatStartsLaterOrStopsAnswering) {
   pass(2);
   send_all(now_, 1);
@@ -274,13 +295,13 @@ TEST_F(RegistrationOnTheBus, SaysThatAMapIsOfNoUse) {
   EXPECT_THAT(node_.health().message(), HasSubstr("features: grid"));
   server_.info_.features = "grid";
   server_.info_.num_features = 1LL << 40;
-  server_.info_.fingerprint = "huge";
+  server_.info_.fingerprint = server_.info_.map_fingerprint = "huge";
   server_.announce();
   pump();
-  EXPECT_THAT(node_.health().message(), HasSubstr("max_features"));
+  EXPECT_THAT(node_.health().message(), HasSubstr("memory_mb"));
   server_.info_.num_features = 5;
   server_.info_.metres_per_pixel = kNan;
-  server_.info_.fingerprint = "nan";
+  server_.info_.fingerprint = server_.info_.map_fingerprint = "nan";
   server_.announce();
   pump();
   EXPECT_EQ(node_.health().state(), Health::State::kFailed);

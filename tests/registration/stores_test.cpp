@@ -60,11 +60,20 @@ struct Part {
 };
 
 MapLayout layout(int64_t features) {
-  return {"abc", 2, 2, features, 1000};
+  return {"abc", 2, 2, features, 45, 0, -90};
+}
+
+constexpr int64_t kAmple = 1'000'000;
+
+std::vector<int> tiles_of(const std::vector<TileRequest>& requests) {
+  std::vector<int> tiles;
+  for (const TileRequest& request : requests) tiles.push_back(request.tile);
+  return tiles;
 }
 
 TEST(TileStore, PutsTogetherWhatCameInAnyOrder) {
-  TileStore store(layout(6));
+  TileStore store(layout(6), kAmple);
+  store.want({0, 1, 2, 3});
   EXPECT_EQ(store.add(Part(3, 1, 2, 1, 31).part, 0), Outcome::kAccepted);
   EXPECT_EQ(store.add(Part(0, 0, 1, 2, 1).part, 0), Outcome::kAccepted);
   EXPECT_EQ(store.add(Part(2, 0, 1, 0).part, 0), Outcome::kAccepted);
@@ -73,51 +82,111 @@ TEST(TileStore, PutsTogetherWhatCameInAnyOrder) {
   EXPECT_FALSE(store.complete());
   EXPECT_EQ(store.add(Part(1, 0, 1, 2, 10).part, 0), Outcome::kAccepted);
   ASSERT_TRUE(store.complete());
-  const MapFeatures features = store.take();
-  std::vector<float> east;
-  for (const auto& position : features.positions) east.push_back(position.x());
-  EXPECT_THAT(east, ElementsAre(1, 1, 10, 10, 30, 31));
-  ASSERT_EQ(features.descriptors.rows, 6);
-  EXPECT_EQ(features.descriptors.at<uchar>(5, 127), 31);
+  EXPECT_EQ(store.memory_used(), 6 * kFeatureMemory);
+  for (const MapFeatures& features : {store.collect(), store.take()}) {
+    std::vector<float> east;
+    for (const auto& position : features.positions) east.push_back(position.x());
+    EXPECT_THAT(east, ElementsAre(1, 1, 10, 10, 30, 31));
+    ASSERT_EQ(features.descriptors.rows, 6);
+    EXPECT_EQ(features.descriptors.at<uchar>(5, 127), 31);
+  }
+  EXPECT_EQ(store.memory_used(), 0);
 }
 
 TEST(TileStore, AsksForFewAtATimeAndAgainForWhatDidNotCome) {
-  TileStore store(layout(10));
-  EXPECT_THAT(store.ask(0, 2, 1000), ElementsAre(0, 1));
-  EXPECT_THAT(store.ask(10, 2, 1000), IsEmpty());
+  TileStore store(layout(10), kAmple);
+  store.want({0, 1, 2, 3, 7, -1});  // two of them do not exist
+  EXPECT_EQ(store.num_wanted(), 4);
+  EXPECT_THAT(tiles_of(store.ask(0, 2, 1000)), ElementsAre(0, 1));
+  EXPECT_THAT(tiles_of(store.ask(10, 2, 1000)), IsEmpty());
   store.add(Part(1, 0, 1, 1).part, 20);
-  EXPECT_THAT(store.ask(30, 2, 1000), ElementsAre(2));
+  EXPECT_THAT(tiles_of(store.ask(30, 2, 1000)), ElementsAre(2));
   EXPECT_EQ(store.num_asked_again(), 0);
-  EXPECT_THAT(store.ask(1000, 2, 1000), ElementsAre(0));
+  EXPECT_THAT(tiles_of(store.ask(1000, 2, 1000)), ElementsAre(0));
   EXPECT_EQ(store.num_asked_again(), 1);
-  EXPECT_THAT(store.ask(5000, 10, 1000), ElementsAre(0, 2, 3));
+  EXPECT_THAT(tiles_of(store.ask(5000, 10, 1000)), ElementsAre(0, 2, 3));
+}
+
+TEST(TileStore, AsksForTheLostPartsOfATileThatMostlyCame) {
+  TileStore store(layout(10), kAmple);
+  store.want({2});
+  store.ask(0, 8, 1000);
+  for (const int part : {0, 2, 3, 5}) store.add(Part(2, part, 6, 1).part, 100);
+  EXPECT_TRUE(store.ask(1050, 8, 1000).empty()) << "parts still come";
+  const auto requests = store.ask(1100, 8, 1000);
+  ASSERT_EQ(requests.size(), 2u);
+  EXPECT_EQ(requests[0].part, 1);
+  EXPECT_EQ(requests[1].part, 4);
+  EXPECT_EQ(store.num_parts_again(), 2);
+}
+
+TEST(TileStore, KeepsWithinItsMemoryAndGivesUpWhatWasWantedLongestAgo) {
+  TileStore store(layout(1000), 6 * kFeatureMemory);
+  const auto come = [&](int tile) { return store.add(Part(tile, 0, 1, 2).part, 0); };
+  store.want({0, 1});
+  come(0);
+  come(1);
+  store.want({1, 2});
+  come(2);
+  EXPECT_EQ(store.memory_used(), 6 * kFeatureMemory);
+  store.want({2, 3});
+  EXPECT_EQ(store.num_complete(), 1);
+  come(3);
+  EXPECT_EQ(store.num_given_up(), 1);
+  EXPECT_EQ(store.memory_used(), 6 * kFeatureMemory);
+  store.want({1, 0});
+  EXPECT_EQ(store.num_complete(), 1) << "tile 1 was still there, tile 0 had been given up";
+  // All four are wanted, three find room: the least important is left out, and nothing waits for it.
+  store.want({3, 1, 0, 2});
+  come(3);
+  come(0);
+  come(2);
+  EXPECT_LE(store.memory_used(), 6 * kFeatureMemory);
+  EXPECT_EQ(store.num_beyond_budget(), 1);
+  EXPECT_TRUE(store.complete());
+  EXPECT_EQ(store.collect().positions.size(), 6u);
+}
+
+TEST(TileStore, DoesNotWaitForATileThatTheServerRefuses) {
+  TileStore store(layout(10), kAmple);
+  store.want({0, 1});
+  store.ask(0, 8, 1000);
+  store.add(Part(0, 0, 1, 2).part, 0);
+  EXPECT_EQ(store.add(Part(1, 0, 0, 0).part, 0), Outcome::kRefused);
+  EXPECT_EQ(store.add(Part(0, 0, 0, 0).part, 0), Outcome::kDuplicate) << "it is here already";
+  EXPECT_TRUE(store.complete());
+  EXPECT_EQ(store.num_refused(), 1);
+  EXPECT_TRUE(store.ask(10'000, 8, 1000).empty());
 }
 
 TEST(TileStore, RefusesMalformedParts) {
-  TileStore store(layout(3));
+  TileStore store(layout(3), kAmple);
+  store.want({0, 1});
   EXPECT_EQ(store.add(Part(4, 0, 1, 1).part, 0), Outcome::kMalformed);
   EXPECT_EQ(store.add(Part(-1, 0, 1, 1).part, 0), Outcome::kMalformed);
   EXPECT_EQ(store.add(Part(0, 1, 1, 1).part, 0), Outcome::kMalformed);
-  EXPECT_EQ(store.add(Part(0, 0, 0, 1).part, 0), Outcome::kMalformed);
+  EXPECT_EQ(store.add(Part(0, 0, -1, 1).part, 0), Outcome::kMalformed);
   EXPECT_EQ(store.add(Part(0, 0, 1'000'000'000, 1).part, 0), Outcome::kMalformed);
   EXPECT_EQ(store.add(Part(0, 0, 1, 4).part, 0), Outcome::kMalformed);  // more than the map has
   EXPECT_EQ(store.add(Part(0, 0, 1, 1, std::numeric_limits<float>::infinity()).part, 0), Outcome::kMalformed);
   Part short_descriptors(0, 0, 1, 2);
   short_descriptors.part.descriptors = short_descriptors.part.descriptors.first(200);
   EXPECT_EQ(store.add(short_descriptors.part, 0), Outcome::kMalformed);
+  EXPECT_EQ(store.add(Part(2, 0, 1, 1).part, 0), Outcome::kUnwanted);
   EXPECT_EQ(store.add(Part(1, 0, 2, 1).part, 0), Outcome::kAccepted);
   EXPECT_EQ(store.add(Part(1, 1, 3, 1).part, 0), Outcome::kMalformed);  // another number of parts
-  EXPECT_EQ(store.num_features(), 1);
+  EXPECT_EQ(store.memory_used(), kFeatureMemory);
 }
 
 TEST(MapLayout, SaysWhatIsWrongWithAMap) {
   EXPECT_EQ(layout(5).problem(), "");
   EXPECT_NE(layout(0).problem(), "");
-  EXPECT_NE(layout(1001).problem(), "");
-  EXPECT_NE((MapLayout{"", 2, 2, 5, 10}).problem(), "");
-  EXPECT_NE((MapLayout{"a", 0, 2, 5, 10}).problem(), "");
-  EXPECT_NE((MapLayout{"a", 2'000'000'000, 2'000'000'000, 5, 10}).problem(), "");
-  EXPECT_THROW(TileStore{layout(0)}, std::invalid_argument);
+  EXPECT_NE((MapLayout{"", 2, 2, 5, 45, 0, 0}).problem(), "");
+  EXPECT_NE((MapLayout{"a", 0, 2, 5, 45, 0, 0}).problem(), "");
+  EXPECT_NE((MapLayout{"a", 2'000'000'000, 2'000'000'000, 5, 45, 0, 0}).problem(), "");
+  EXPECT_NE((MapLayout{"a", 2, 2, 5, 0, 0, 0}).problem(), "");
+  EXPECT_NE((MapLayout{"a", 2, 2, 5, 45, std::numeric_limits<double>::quiet_NaN(), 0}).problem(), "");
+  EXPECT_THROW(TileStore(layout(0), 1), std::invalid_argument);
 }
 
 }  // namespace
