@@ -282,6 +282,19 @@ TileFeatures MapDatabase::tile(int level, int index) const {
   return read(entry);
 }
 
+TileFeatures MapDatabase::all_tiles(int level) const {
+  TileFeatures all;
+  const MapDescription& description = levels_.at(static_cast<size_t>(level));
+  all.positions.reserve(static_cast<size_t>(description.num_features));
+  all.descriptors.reserve(static_cast<size_t>(description.num_features) * onmap::kDescriptorBytes);
+  for (int i = 0; i < description.num_tiles(); ++i) {
+    const TileFeatures one = tile(level, i);
+    all.positions.insert(all.positions.end(), one.positions.begin(), one.positions.end());
+    all.descriptors.insert(all.descriptors.end(), one.descriptors.begin(), one.descriptors.end());
+  }
+  return all;
+}
+
 void MapDatabase::verify() const {
   for (size_t i = 0; i < index_.size(); ++i) (void)read(i);
 }

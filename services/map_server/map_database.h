@@ -81,6 +81,9 @@ class MapDatabase {
   // Throws std::out_of_range for a level or tile that does not exist, MapDatabaseError for a damaged one.
   TileFeatures tile(int level, int index) const;
 
+  // Features of all tiles of a level, in their order. Throws as tile() does.
+  TileFeatures all_tiles(int level) const;
+
   // Reads every tile. Throws MapDatabaseError naming the first that is damaged.
   void verify() const;
 

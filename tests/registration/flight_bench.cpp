@@ -53,16 +53,11 @@ double now_ms() {
 }
 
 MapFeatures features_of(const map_server::MapDatabase& database) {
+  map_server::TileFeatures all = database.all_tiles(0);
   MapFeatures features;
-  const int64_t count = database.description().num_features;
-  features.descriptors.create(static_cast<int>(count), kSiftBytes, CV_8U);
-  int row = 0;
-  for (int tile = 0; tile < database.description().num_tiles(); ++tile) {
-    const auto view = database.tile(tile);
-    features.positions.insert(features.positions.end(), view.positions.begin(), view.positions.end());
-    std::copy(view.descriptors.begin(), view.descriptors.end(), features.descriptors.ptr(row));
-    row += static_cast<int>(view.positions.size());
-  }
+  features.descriptors =
+      cv::Mat(static_cast<int>(all.positions.size()), kSiftBytes, CV_8U, all.descriptors.data()).clone();
+  features.positions = std::move(all.positions);
   return features;
 }
 
@@ -73,7 +68,7 @@ void run(const Arguments& arguments) {
                                                 : map_server::FeatureKind::kGrid;
   if (arguments.size > 0) build.keypoint_size = arguments.size;
   const map_server::MapDatabase database(map_server::prepare_map(arguments.map, build, {}));
-  const auto& description = database.description();
+  const auto& description = database.levels().front();
   const EnuFrame frame(description.anchor);
   const MapGeometry geometry{description.metres_per_pixel, description.keypoint_size, description.keypoint_stride};
 
