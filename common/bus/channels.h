@@ -6,6 +6,7 @@ namespace orthonav::channel {
 inline constexpr const char* kImu = "IMU";                          // imu_t
 inline constexpr const char* kCamera = "CAMERA";                    // image_t
 inline constexpr const char* kCompass = "COMPASS";                  // compass_t
+inline constexpr const char* kMagnetometer = "MAGNETOMETER";        // magnetometer_t, raw
 inline constexpr const char* kAltitude = "ALTITUDE";                // altitude_t
 inline constexpr const char* kGnssReference = "GNSS_REFERENCE";     // gnss_reference_t, evaluation only
 inline constexpr const char* kTruth = "TRUTH";                      // truth_t, evaluation only

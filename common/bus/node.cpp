@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <atomic>
+#include <cmath>
 #include <condition_variable>
 #include <csignal>
 #include <cstdlib>
@@ -19,6 +20,9 @@
 #include <unistd.h>
 
 #include "common/bus/channels.h"
+#include "common/bus/clock_skew.h"
+#include "common/bus/process_usage.h"
+#include "common/bus/supervisor.h"
 
 namespace orthonav {
 
@@ -28,6 +32,7 @@ using Clock = std::chrono::steady_clock;
 
 constexpr int64_t kRejectDegradesFor = 5'000'000;          // microseconds
 constexpr auto kStopPoll = std::chrono::milliseconds(50);  // how soon run() sees a signal
+constexpr double kTolerableSkew = 0.1;                     // s
 constexpr int64_t kLargestTimerLag = 10'000'000;           // microseconds of replayed time that timers catch up on
 
 std::atomic<bool> g_signalled{false};
@@ -55,7 +60,9 @@ int granted_receive_buffer(int wanted) {
   return granted / 2;
 }
 
-std::string full_url(const NodeOptions& options) {
+}  // namespace
+
+std::string bus_url(const NodeOptions& options) {
   std::string url = options.lcm_url;
   if (url.empty()) {
     const char* from_environment = std::getenv("LCM_DEFAULT_URL");
@@ -67,8 +74,6 @@ std::string full_url(const NodeOptions& options) {
   }
   return url;
 }
-
-}  // namespace
 
 // ---- Health ---------------------------------------------------------------------------------------------------------
 
@@ -100,12 +105,14 @@ struct Node::Impl {
     size_t waiting = 0;   // guarded by queue_mutex
     int64_t dropped = 0;  // guarded by queue_mutex
     int64_t reported = 0;
+    double slowest_ms = 0;  // since the last heartbeat, from the socket to the end of the handler
 
     void receive(const lcm::ReceiveBuffer* buffer, const std::string&);
   };
   struct Message {
     Subscription* subscription;
     std::vector<uint8_t> data;
+    Clock::time_point received;
   };
   struct Timer {
     int64_t period;
@@ -123,6 +130,10 @@ struct Node::Impl {
   Health health;
   Health::State published_state = Health::State::kStarting;
   std::string buffer_message;
+  std::string skew_message;
+  ProcessUsage usage;
+  ClockSkew skew;
+  Supervisor supervisor;
   std::vector<std::unique_ptr<Subscription>> subscriptions;
   std::vector<Timer> timers;
 
@@ -133,10 +144,19 @@ struct Node::Impl {
   void dispatch(const Subscription& subscription, const void* data, size_t size) {
     health.add("received." + subscription.channel);
     try {
-      if (!subscription.handler(data, size)) {
-        health.reject("undecodable." + subscription.channel,
-                      fmt::format("{}: a message of {} bytes does not decode: is its publisher of another version?",
-                                  subscription.channel, size));
+      switch (subscription.handler(data, size)) {
+        case Handled::kYes:
+          break;
+        case Handled::kUndecodable:
+          health.reject("undecodable." + subscription.channel,
+                        fmt::format("{}: a message of {} bytes does not decode: is its publisher of another version?",
+                                    subscription.channel, size));
+          break;
+        case Handled::kFromAnotherTime:
+          health.reject("time." + subscription.channel,
+                        fmt::format("{}: a message is stamped more than 30 s from those before it: are there two "
+                                    "publishers?",
+                                    subscription.channel));
       }
     } catch (const std::exception& error) {
       health.reject("exception." + subscription.channel, fmt::format("{}: {}", subscription.channel, error.what()));
@@ -146,7 +166,7 @@ struct Node::Impl {
 
   void enqueue(Subscription& subscription, const lcm::ReceiveBuffer& buffer) {
     const auto* bytes = static_cast<const uint8_t*>(buffer.data);
-    Message message{&subscription, {bytes, bytes + buffer.data_size}};
+    Message message{&subscription, {bytes, bytes + buffer.data_size}, Clock::now()};
     {
       const std::lock_guard lock(queue_mutex);
       if (subscription.delivery == Delivery::kLatest && subscription.waiting >= subscription.depth) {
@@ -161,6 +181,8 @@ struct Node::Impl {
     }
     queue_filled.notify_one();
   }
+
+  void measure(int64_t time);
 
   void report_drops() {
     for (const auto& subscription : subscriptions) {
@@ -215,7 +237,7 @@ void Node::Impl::Subscription::receive(const lcm::ReceiveBuffer* buffer, const s
 
 Node::Node(const NodeOptions& options) : impl_(std::make_unique<Impl>()) {
   impl_->options = options;
-  const std::string url = full_url(options);
+  const std::string url = bus_url(options);
   impl_->own = std::make_unique<lcm::LCM>(url);
   if (!impl_->own->good()) {
     throw std::runtime_error(
@@ -235,6 +257,9 @@ Node::Node(const NodeOptions& options) : impl_(std::make_unique<Impl>()) {
       spdlog::warn("{}: {}", options.service, impl_->buffer_message);
     }
   }
+  subscribe<health_t>(channel::kHealth, Delivery::kAll, [this](const health_t& m) {
+    if (m.host != host_name()) impl_->skew.add(m.host, m.utime, now());
+  });
   every(std::chrono::seconds(1), [this] { publish_health(); });
 }
 
@@ -324,15 +349,40 @@ int Node::run() {
         --message->subscription->waiting;
       }
     }
-    if (message) impl_->dispatch(*message->subscription, message->data.data(), message->data.size());
+    if (message) {
+      impl_->dispatch(*message->subscription, message->data.data(), message->data.size());
+      double& slowest = message->subscription->slowest_ms;
+      slowest = std::max(slowest, std::chrono::duration<double, std::milli>(Clock::now() - message->received).count());
+    }
+    impl_->supervisor.alive();
   }
   receiver.join();
   return 0;
 }
 
+// What only a live node has: load, waiting times, other boards' clocks.
+void Node::Impl::measure(int64_t time) {
+  health.set("cpu.percent", usage.cpu_percent());
+  health.set("memory.bytes", ProcessUsage::resident_bytes());
+  for (const auto& subscription : subscriptions) {
+    health.set("latency_ms." + subscription->channel, subscription->slowest_ms);
+    subscription->slowest_ms = 0;
+  }
+  skew_message.clear();
+  std::erase_if(health.counters_, [](const auto& counter) { return counter.first.starts_with("clock.skew_ms."); });
+  for (const auto& [host, skew_s] : skew.skews(time)) {
+    health.set("clock.skew_ms." + host, 1e3 * skew_s);
+    if (std::abs(skew_s) > kTolerableSkew) {
+      skew_message = fmt::format("the clock of {} is {:.3f} s {} this one: is chrony running on both?", host,
+                                 std::abs(skew_s), skew_s > 0 ? "behind" : "ahead of");
+    }
+  }
+}
+
 void Node::publish_health() {
   Health& health = impl_->health;
   const int64_t time = now();
+  if (live()) impl_->measure(time);
   if (health.reject_pending_) {
     health.reject_until_ = time + kRejectDegradesFor;
     health.reject_pending_ = false;
@@ -351,6 +401,9 @@ void Node::publish_health() {
   } else if (state == Health::State::kOk && !impl_->buffer_message.empty()) {
     state = Health::State::kDegraded;
     message.message = impl_->buffer_message;
+  } else if (state == Health::State::kOk && !impl_->skew_message.empty()) {
+    state = Health::State::kDegraded;
+    message.message = impl_->skew_message;
   }
   message.state = static_cast<int8_t>(state);
   message.uptime = static_cast<double>(time - impl_->start) * 1e-6;
@@ -363,6 +416,7 @@ void Node::publish_health() {
   message.num_counters = static_cast<int32_t>(message.counters.size());
   impl_->published_state = health.state_;
   lcm().publish(channel::kHealth, &message);
+  if (live()) impl_->supervisor.status(message.message.empty() ? "running" : message.message);
 }
 
 // ---- Stopwatch ------------------------------------------------------------------------------------------------------

@@ -6,7 +6,8 @@
 //   replayed  Node(options, shared): several nodes in one process on one memq:// LCM. Handlers run in the order
 //             of publication, timers by the time of the data, and Stopwatch reads 0, so a replay repeats bit for bit.
 //
-// Undecodable messages, messages lost by a full queue and handlers that throw are counted and shown in the
+// A message whose utime is more than 30 s from those before it on its channel is refused (time_guard.h). Undecodable
+// messages, these, messages lost by a full queue and handlers that throw are counted and shown in the
 // heartbeat (health_t on channel HEALTH, once a second); they never end the process.
 #pragma once
 
@@ -16,9 +17,11 @@
 #include <map>
 #include <memory>
 #include <string>
+#include <type_traits>
 
 #include <lcm/lcm-cpp.hpp>
 
+#include "common/bus/time_guard.h"
 #include "orthonav/health_t.hpp"
 
 namespace orthonav {
@@ -28,6 +31,9 @@ struct NodeOptions {
   std::string lcm_url = "";              // empty: LCM_DEFAULT_URL, else udpm://239.255.76.67:7667?ttl=0
   int receive_buffer = 4 * 1024 * 1024;  // bytes asked of the kernel (SO_RCVBUF) unless the URL says otherwise
 };
+
+// The URL a node with these options joins: with the default bus and the receive buffer filled in.
+std::string bus_url(const NodeOptions& options);
 
 // What happens to messages that arrive faster than they are handled.
 enum class Delivery {
@@ -74,12 +80,17 @@ class Node {
   template <class Msg>
   void subscribe(const std::string& channel, Delivery delivery, std::function<void(const Msg&)> handler,
                  size_t depth = 1) {
-    subscribe_raw(channel, delivery, depth, [handler = std::move(handler)](const void* data, size_t size) {
-      Msg message;
-      if (message.decode(data, 0, static_cast<int>(size)) < 0) return false;
-      handler(message);
-      return true;
-    });
+    subscribe_raw(channel, delivery, depth,
+                  [handler = std::move(handler), guard = TimeGuard()](const void* data, size_t size) mutable {
+                    Msg message;
+                    if (message.decode(data, 0, static_cast<int>(size)) < 0) return Handled::kUndecodable;
+                    // Heartbeats come from many boards, whose clocks differ.
+                    if constexpr (!std::is_same_v<Msg, health_t>) {
+                      if (!guard.accept(message.utime)) return Handled::kFromAnotherTime;
+                    }
+                    handler(message);
+                    return Handled::kYes;
+                  });
   }
 
   // Sends a message. Failures are counted in the health.
@@ -107,7 +118,8 @@ class Node {
   Health& health();
 
  private:
-  using RawHandler = std::function<bool(const void* data, size_t size)>;
+  enum class Handled { kYes, kUndecodable, kFromAnotherTime };
+  using RawHandler = std::function<Handled(const void* data, size_t size)>;
   void subscribe_raw(const std::string& channel, Delivery delivery, size_t depth, RawHandler handler);
   void count_published(const std::string& channel, int size, int result);
   void publish_health();

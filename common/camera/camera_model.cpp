@@ -137,6 +137,7 @@ Extrinsics Extrinsics::from_config(ConfigNode& node) {
     node.fail("R_B_C", "is not a rotation matrix");
   }
   e.R_B_C = Eigen::Quaterniond(raw).normalized().toRotationMatrix();
+  node.read("time_offset", e.time_offset, -1.0, 1.0);
   node.finish();
   return e;
 }

@@ -66,8 +66,9 @@ class CameraModel {
 struct Extrinsics {
   Eigen::Vector3d p_B_C = Eigen::Vector3d::Zero();
   Eigen::Matrix3d R_B_C = Eigen::Matrix3d::Identity();
+  double time_offset = 0;  // s: IMU time = image time + offset
 
-  // Reads `p_B_C` (3 numbers, m) and `R_B_C` (9 numbers, row-major; must be a rotation within 1e-3).
+  // Reads `p_B_C` (3 numbers, m), `R_B_C` (9 numbers, row-major; must be a rotation within 1e-3) and `time_offset`.
   // Throws ConfigError with file and line.
   static Extrinsics from_config(ConfigNode& node);
 };

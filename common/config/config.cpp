@@ -97,6 +97,10 @@ ConfigNode ConfigNode::parse(const std::string& text, const std::string& name) {
   return ConfigNode(std::move(impl));
 }
 
+void ConfigNode::overlay(const YAML::Node& map, const std::filesystem::path& file) {
+  impl_->layers.insert(impl_->layers.begin(), {map, file});
+}
+
 bool ConfigNode::has(const std::string& key) const {
   return impl_->find(key) != nullptr;
 }

@@ -31,6 +31,9 @@ class ConfigNode {
   // The same from text, for tests; `name` stands for the file in errors.
   static ConfigNode parse(const std::string& text, const std::string& name);
 
+  // Lays another map over this one: its keys win. `file` stands for its origin in errors. Only for the top node.
+  void overlay(const YAML::Node& map, const std::filesystem::path& file);
+
   ~ConfigNode();
   ConfigNode(ConfigNode&&) noexcept;
   ConfigNode& operator=(ConfigNode&&) noexcept;

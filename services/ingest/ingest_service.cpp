@@ -18,26 +18,38 @@ std::unique_ptr<SensorSource> make_source(const IngestOptions& options) {
   return std::make_unique<AslSource>(options.asl);
 }
 
-void publish_checked(Node& node, Validator& validator, const SensorEvent& event) {
-  Health& health = node.health();
-  if (!event.message) {
-    health.reject("source", event.error);
-    return;
-  }
-  const std::string channel = channel_of(*event.message);
-  const Verdict verdict = validator.check(*event.message);
+namespace {
+
+// Publishes a message if it is sound; says whether it was.
+bool publish_if_sound(Node& node, Validator& validator, const SensorMessage& message) {
+  const std::string channel = channel_of(message);
+  const Verdict verdict = validator.check(message);
   if (!verdict.accepted) {
-    health.reject(channel + "." + verdict.reason, verdict.detail);
-    return;
+    node.health().reject(channel + "." + verdict.reason, verdict.detail);
+    return false;
   }
-  if (verdict.gap) health.add("gaps." + channel);
-  std::visit([&](const auto& message) { node.publish(channel, message); }, *event.message);
+  if (verdict.gap) node.health().add("gaps." + channel);
+  std::visit([&](const auto& m) { node.publish(channel, m); }, message);
+  return true;
 }
 
-IngestService::IngestService(Node& node, const IngestOptions& options)
+}  // namespace
+
+void publish_checked(Node& node, Validator& validator, Compass& compass, const SensorEvent& event) {
+  if (!event.message) {
+    node.health().reject("source", event.error);
+    return;
+  }
+  if (std::holds_alternative<compass_t>(*event.message)) compass.stand_back();
+  if (!publish_if_sound(node, validator, *event.message)) return;
+  if (auto heading = compass.feed(*event.message)) publish_if_sound(node, validator, SensorMessage(*heading));
+}
+
+IngestService::IngestService(Node& node, const std::filesystem::path& config, const IngestOptions& options)
     : node_(node),
       options_(options),
       source_(make_source(options)),
+      compass_(Compass::load(config)),
       awaited_(options.wait_for.begin(), options.wait_for.end()) {
   if (!(options.speed > 0)) throw std::runtime_error("--speed must be positive");
   node.subscribe<health_t>(channel::kHealth, Delivery::kAll, [this](const health_t& m) { awaited_.erase(m.service); });
@@ -71,7 +83,7 @@ void IngestService::tick() {
       if (std::chrono::duration<double>(now - start_).count() < due && !(last_utime_ != 0 && since_last > 3600)) return;
       if (last_utime_ == 0 || since_last <= 3600) last_utime_ = std::max(last_utime_, utime);
     }
-    publish_checked(node_, validator_, *pending_);
+    publish_checked(node_, validator_, compass_, *pending_);
     pending_.reset();
   }
 }

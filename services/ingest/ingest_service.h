@@ -8,6 +8,7 @@
 #include <vector>
 
 #include "common/bus/service_main.h"
+#include "services/ingest/compass.h"
 #include "services/ingest/sensor_source.h"
 #include "services/ingest/validator.h"
 
@@ -25,13 +26,13 @@ struct IngestOptions {
 std::unique_ptr<SensorSource> make_source(const IngestOptions& options);
 
 // Checks a message and publishes it if it is sound; counts it in the node's health either way. Shared by the live
-// service and the replay.
-void publish_checked(Node& node, Validator& validator, const SensorEvent& event);
+// service and the replay. A raw magnetometer sample is followed by the heading that `compass` makes of it.
+void publish_checked(Node& node, Validator& validator, Compass& compass, const SensorEvent& event);
 
 class IngestService : public Service {
  public:
-  // Throws std::runtime_error as make_source does.
-  IngestService(Node& node, const IngestOptions& options);
+  // Throws std::runtime_error as make_source does, ConfigError as Compass::load does.
+  IngestService(Node& node, const std::filesystem::path& config, const IngestOptions& options);
 
  private:
   void tick();
@@ -41,6 +42,7 @@ class IngestService : public Service {
   IngestOptions options_;
   std::unique_ptr<SensorSource> source_;
   Validator validator_;
+  Compass compass_;
   std::set<std::string> awaited_;
   std::optional<SensorEvent> pending_;
   int64_t first_utime_ = 0;

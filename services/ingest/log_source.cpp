@@ -30,6 +30,7 @@ std::optional<SensorEvent> LogSource::next() {
     if (event->channel == channel::kImu) return decode_as<imu_t>(*event, file_);
     if (event->channel == channel::kCamera) return decode_as<image_t>(*event, file_);
     if (event->channel == channel::kCompass) return decode_as<compass_t>(*event, file_);
+    if (event->channel == channel::kMagnetometer) return decode_as<magnetometer_t>(*event, file_);
     if (event->channel == channel::kAltitude) return decode_as<altitude_t>(*event, file_);
     if (event->channel == channel::kGnssReference) return decode_as<gnss_reference_t>(*event, file_);
     if (event->channel == channel::kTruth) return decode_as<truth_t>(*event, file_);

@@ -13,7 +13,7 @@ int main(int argc, char** argv) {
         app.add_option("--wait-for", options.wait_for, "services to wait for before the first message")->delimiter(',');
         app.add_flag("--progress", options.progress, "show a progress line");
       },
-      [&](orthonav::Node& node, const std::filesystem::path&) {
-        return std::make_unique<orthonav::ingest::IngestService>(node, options);
+      [&](orthonav::Node& node, const std::filesystem::path& config) {
+        return std::make_unique<orthonav::ingest::IngestService>(node, config, options);
       });
 }

@@ -10,6 +10,7 @@ struct ChannelOf {
   const char* operator()(const imu_t&) const { return channel::kImu; }
   const char* operator()(const image_t&) const { return channel::kCamera; }
   const char* operator()(const compass_t&) const { return channel::kCompass; }
+  const char* operator()(const magnetometer_t&) const { return channel::kMagnetometer; }
   const char* operator()(const altitude_t&) const { return channel::kAltitude; }
   const char* operator()(const gnss_reference_t&) const { return channel::kGnssReference; }
   const char* operator()(const truth_t&) const { return channel::kTruth; }

@@ -14,12 +14,13 @@
 #include "orthonav/gnss_reference_t.hpp"
 #include "orthonav/image_t.hpp"
 #include "orthonav/imu_t.hpp"
+#include "orthonav/magnetometer_t.hpp"
 #include "orthonav/truth_t.hpp"
 
 namespace orthonav::ingest {
 
 // A sensor's message, stamped by the sensor.
-using SensorMessage = std::variant<imu_t, image_t, compass_t, altitude_t, gnss_reference_t, truth_t>;
+using SensorMessage = std::variant<imu_t, image_t, compass_t, magnetometer_t, altitude_t, gnss_reference_t, truth_t>;
 
 int64_t utime_of(const SensorMessage& message);
 // Name of the channel the message belongs on.

@@ -43,6 +43,9 @@ struct FaultOf {
   Fault operator()(const compass_t& m) const {
     return std::isfinite(m.heading) ? Fault{} : Fault{"nan", "heading is not finite"};
   }
+  Fault operator()(const magnetometer_t& m) const {
+    return std::isfinite(m.field[0] + m.field[1] + m.field[2]) ? Fault{} : Fault{"nan", "field is not finite"};
+  }
   Fault operator()(const altitude_t& m) const {
     return std::isfinite(m.height_above_ground) ? Fault{} : Fault{"nan", "height_above_ground is not finite"};
   }

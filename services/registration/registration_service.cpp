@@ -10,6 +10,7 @@
 #include <spdlog/spdlog.h>
 
 #include "common/bus/channels.h"
+#include "common/camera/aircraft.h"
 #include "common/camera/image_decode.h"
 #include "common/math/so3.h"
 #include "orthonav/map_tile_request_t.hpp"
@@ -51,7 +52,7 @@ RegistrationService::Setup RegistrationService::read(const std::filesystem::path
   map.finish();
   node.finish();
   // aircraft.yaml has parts that are other services' to read, so not every key of it is known here.
-  ConfigNode aircraft = ConfigNode::load(config_folder / "aircraft.yaml");
+  ConfigNode aircraft = load_aircraft(config_folder);
   ConfigNode camera = aircraft.child("camera");
   double declination_deg = 0;
   aircraft.require("magnetic_declination_deg", declination_deg);

@@ -1,5 +1,6 @@
 #include "services/vio/options.h"
 
+#include "common/camera/aircraft.h"
 #include "common/config/config.h"
 
 namespace orthonav::vio {
@@ -44,7 +45,7 @@ void read_estimator(ConfigNode node, EstimatorOptions& options) {
 }  // namespace
 
 VioSetup load_setup(const std::filesystem::path& folder) {
-  ConfigNode aircraft = ConfigNode::load(folder / "aircraft.yaml");
+  ConfigNode aircraft = load_aircraft(folder);
   ConfigNode camera = aircraft.child("camera");
   ConfigNode extrinsics = aircraft.child("extrinsics");
   VioSetup setup{{}, CameraModel::from_config(camera), Extrinsics::from_config(extrinsics)};
@@ -63,6 +64,7 @@ VioSetup load_setup(const std::filesystem::path& folder) {
   read_tracker(vio.child_or_empty("tracker"), setup.options.tracker);
   read_estimator(vio.child_or_empty("estimator"), setup.options.estimator);
   vio.read("camera_time_offset", setup.options.camera_time_offset, -1.0, 1.0);
+  setup.options.camera_time_offset += setup.extrinsics.time_offset;
   vio.read("max_imu_gap", setup.options.max_imu_gap, 0.01, 10.0);
   vio.finish();
   return setup;

@@ -13,7 +13,7 @@ struct VioOptions {
   TrackerOptions tracker;
   EstimatorOptions estimator;
   ImuNoise imu;
-  double camera_time_offset = 0;  // s: IMU time = image time + offset
+  double camera_time_offset = 0;  // s: IMU time = image time + offset, that of the extrinsics included
   double max_imu_gap = 0.25;      // s: a longer gap in the IMU cannot be bridged and restarts the odometry
 };
 

@@ -19,6 +19,7 @@
 #include <opencv2/imgcodecs.hpp>
 #include <opencv2/imgproc.hpp>
 
+#include "common/camera/aircraft.h"
 #include "common/camera/camera_model.h"
 #include "common/config/config.h"
 #include "common/geo/raster.h"
@@ -225,7 +226,7 @@ void match(const Photographer& photographer, const Shot& shot, const Map& map, c
 }
 
 void run(const Arguments& arguments) {
-  orthonav::ConfigNode aircraft = orthonav::ConfigNode::load(arguments.scenario / "aircraft.yaml");
+  orthonav::ConfigNode aircraft = orthonav::load_aircraft(arguments.scenario);
   orthonav::ConfigNode camera_node = aircraft.child("camera");
   const orthonav::CameraModel camera = orthonav::CameraModel::from_config(camera_node);
   for (const std::string& difference : arguments.differences) {

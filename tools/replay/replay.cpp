@@ -53,6 +53,7 @@ ReplaySummary replay(const ReplayOptions& options) {
   source_options.asl = options.asl;
   const auto source = ingest::make_source(source_options);
   ingest::Validator validator;
+  ingest::Compass compass = ingest::Compass::load(options.config);
   Node& ingest_node = node("ingest");
   ingest_node.health().set_state(Health::State::kOk);
 
@@ -78,7 +79,7 @@ ReplaySummary replay(const ReplayOptions& options) {
       for (const auto& n : nodes) n->advance(recorder.utime);
       settle();
     }
-    ingest::publish_checked(ingest_node, validator, *event);
+    ingest::publish_checked(ingest_node, validator, compass, *event);
     settle();
     if (options.progress && recorder.utime - reported >= 1'000'000) {
       reported = recorder.utime;

@@ -2,11 +2,13 @@
 
 #include <numbers>
 
+#include "common/camera/aircraft.h"
+
 namespace orthonav::simulate {
 
 Scenario Scenario::load(const std::filesystem::path& folder) {
   ConfigNode simulate = ConfigNode::load(folder / "simulate.yaml");
-  ConfigNode aircraft = ConfigNode::load(folder / "aircraft.yaml");
+  ConfigNode aircraft = load_aircraft(folder);
   ConfigNode flight_node = simulate.child_or_empty("flight");
   ConfigNode effects_node = simulate.child_or_empty("camera_effects");
   ConfigNode sensors_node = simulate.child_or_empty("sensors");

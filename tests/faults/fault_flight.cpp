@@ -1,0 +1,276 @@
+// Flies one flight once for each fault, through processes on a bus of its own, in real time, and prints a table: what
+// was lost, how long until the aircraft knew its place again, which services had to be restarted.
+//   deploy/own-bus build/release/tests/fault_flight --config config/quick --log FLIGHT.lcm --map FLIGHT.onmap
+// A fault strikes after --strike seconds. A service that ends is restarted after 0.5 s, as its unit does.
+#include <algorithm>
+#include <cmath>
+#include <functional>
+#include <map>
+#include <memory>
+#include <random>
+#include <set>
+#include <string>
+#include <thread>
+#include <vector>
+
+#include <CLI/CLI.hpp>
+#include <fmt/format.h>
+
+#include "common/bus/channels.h"
+#include "common/geo/enu_frame.h"
+#include "orthonav/health_t.hpp"
+#include "orthonav/nav_state_t.hpp"
+#include "orthonav/truth_t.hpp"
+#include "orthonav/vio_keyframe_t.hpp"
+#include "tests/faults/vandal.h"
+#include "tests/support/bus_client.h"
+#include "tests/support/child_process.h"
+#include "tests/support/temporary_folder.h"
+
+namespace orthonav::faults {
+namespace {
+
+using namespace std::chrono_literals;
+using Clock = std::chrono::steady_clock;
+using test::ChildProcess;
+
+constexpr double kBigLoss = 1e9;
+
+struct Arguments {
+  std::filesystem::path config, log, map;
+  double strike = 25, length = 55;
+  int garbage = 1'000'000, absurd = 100'000;
+  std::vector<std::string> only;
+};
+
+struct Row {
+  double silent_s = 0;      // longest time without NAV_STATE from the strike on
+  double recovered_s = -1;  // from the strike to the last moment without a map-aided position; -1: never again
+  double rmse_m = 0;        // fusion, 3D, while map-aided
+  int restarted = 0;        // services that were started again
+  int other_deaths = 0;     // services that ended without having been killed
+  int resets = 0;           // growth of the reset counter from the strike on
+};
+
+class Flight {
+ public:
+  explicit Flight(const Arguments& arguments)
+      : arguments_(arguments),
+        nav_(bus_, channel::kNavState),
+        truth_(bus_, channel::kTruth),
+        keyframes_(bus_, channel::kVioKeyframe) {
+    start("map_server", {"--map", arguments_.map});
+    start("registration");
+    start("fusion");
+    start("vio");
+    start("ingest", {"--log", arguments_.log, "--wait-for", "map_server,registration,fusion,vio"});
+  }
+
+  void kill(const std::string& service) {
+    killed_.insert(service);
+    running_.at(service).process->signal(SIGKILL);
+  }
+  void signal(const std::string& service, int number) { running_.at(service).process->signal(number); }
+  void start_second_ingest() { start("ingest", {"--log", arguments_.log}, "second ingest"); }
+
+  // Hears the bus and restarts what ended, for so long.
+  void pass(double seconds) {
+    const auto end = Clock::now() + std::chrono::duration<double>(seconds);
+    while (Clock::now() < end) hear(10);
+  }
+  void hear(int timeout_ms) {
+    const size_t before = nav_.messages.size();
+    bus_.handleTimeout(timeout_ms);
+    for (size_t i = before; i < nav_.messages.size(); ++i) heard_.push_back(Clock::now());
+    for (auto& [name, service] : running_) {
+      if (service.restart_at) {
+        if (Clock::now() >= *service.restart_at) {
+          service.restart_at.reset();
+          service.process = launch(name);
+          ++row_.restarted;
+        }
+      } else if (name.find("ingest") == std::string::npos && !service.process->running()) {
+        if (killed_.erase(name) == 0) ++row_.other_deaths;
+        service.restart_at = Clock::now() + 500ms;
+      }
+    }
+  }
+  bool begin() {
+    return test::handle_until(
+        bus_, [&] { return !truth_.messages.empty(); }, 60s);
+  }
+
+  lcm::LCM& bus() { return bus_; }
+  int64_t utime() const { return nav_.messages.empty() ? 0 : nav_.messages.back().utime; }
+  int32_t session() const { return nav_.messages.empty() ? 0 : nav_.messages.back().session; }
+  int32_t keyframe() const { return keyframes_.messages.empty() ? 0 : keyframes_.messages.back().id; }
+
+  void strike() {
+    strike_ = Clock::now();
+    first_after_ = nav_.messages.size();
+  }
+
+  Row result() {
+    const auto since = [&](Clock::time_point t) { return std::chrono::duration<double>(t - strike_).count(); };
+    double last = 0;
+    for (size_t i = first_after_; i < nav_.messages.size(); ++i) {
+      const double time = since(heard_[i]);
+      row_.silent_s = std::max(row_.silent_s, time - last);
+      last = time;
+    }
+    const double end = since(Clock::now());
+    row_.silent_s = std::max(row_.silent_s, end - last > 3 ? end - last : 0.0);
+    // The flight may end before the fault's program does: only silence of more than 3 s at the end counts.
+    double lost_until = 0;
+    for (size_t i = first_after_; i < nav_.messages.size(); ++i) {
+      const bool gap = i > first_after_ && since(heard_[i]) - since(heard_[i - 1]) > 0.5;
+      if (nav_.messages[i].mode != nav_state_t::MAP_AIDED || gap) lost_until = since(heard_[i]);
+    }
+    const bool aided = !nav_.messages.empty() && nav_.messages.back().mode == nav_state_t::MAP_AIDED;
+    row_.recovered_s = aided && nav_.messages.size() > first_after_ ? lost_until : -1;
+    if (first_after_ > 0 && first_after_ < nav_.messages.size()) {
+      row_.resets = nav_.messages.back().reset_counter - nav_.messages[first_after_ - 1].reset_counter;
+    }
+    row_.rmse_m = rmse();
+    return row_;
+  }
+
+ private:
+  struct Running {
+    std::unique_ptr<ChildProcess> process;
+    std::vector<std::string> arguments;
+    std::string program;
+    std::optional<Clock::time_point> restart_at;
+  };
+
+  void start(const std::string& service, std::vector<std::string> more = {}, const std::string& name = "") {
+    std::string program = "orthonav-" + service;
+    std::replace(program.begin(), program.end(), '_', '-');
+    std::vector<std::string> arguments{test::program(program), "--config", arguments_.config};
+    arguments.insert(arguments.end(), more.begin(), more.end());
+    const std::string key = name.empty() ? service : name;
+    running_[key].arguments = arguments;
+    running_[key].process = launch(key);
+  }
+  std::unique_ptr<ChildProcess> launch(const std::string& name) const {
+    return std::make_unique<ChildProcess>(running_.at(name).arguments, folder_ / (name + ".txt"));
+  }
+
+  double rmse() const {
+    if (truth_.messages.empty()) return kBigLoss;
+    std::map<int64_t, const truth_t*> truth;
+    for (const auto& t : truth_.messages) truth[t.utime] = &t;
+    double sum = 0;
+    int count = 0;
+    for (const auto& n : nav_.messages) {
+      if (n.mode != nav_state_t::MAP_AIDED) continue;
+      const auto it = truth.find(n.utime);
+      if (it == truth.end()) continue;
+      const EnuFrame frame(
+          Geodetic{it->second->latitude_deg, it->second->longitude_deg, it->second->ellipsoidal_height});
+      sum += frame.to_enu({n.latitude_deg, n.longitude_deg, n.ellipsoidal_height}).squaredNorm();
+      ++count;
+    }
+    return count > 0 ? std::sqrt(sum / count) : kBigLoss;
+  }
+
+  const Arguments& arguments_;
+  test::TemporaryFolder folder_;
+  lcm::LCM bus_;
+  test::Collector<nav_state_t> nav_;
+  test::Collector<truth_t> truth_;
+  test::Collector<vio_keyframe_t> keyframes_;
+  std::vector<Clock::time_point> heard_;
+  std::map<std::string, Running> running_;
+  std::set<std::string> killed_;
+  Clock::time_point strike_{};
+  size_t first_after_ = 0;
+  Row row_;
+};
+
+struct Fault {
+  std::string name;
+  std::function<void(Flight&)> strike;
+};
+
+std::vector<Fault> all_faults(const Arguments& arguments) {
+  std::vector<Fault> faults{{"none", [](Flight&) {}}};
+  for (const char* service : {"vio", "map_server", "registration", "fusion"}) {
+    faults.push_back({fmt::format("kill -9 {}", service), [service](Flight& f) { f.kill(service); }});
+  }
+  faults.push_back({"kill -9 vio and fusion", [](Flight& f) {
+                      f.kill("vio");
+                      f.kill("fusion");
+                    }});
+  for (const char* service : {"vio", "registration", "fusion"}) {
+    faults.push_back({fmt::format("SIGSTOP {} for 5 s", service), [service](Flight& f) {
+                        f.signal(service, SIGSTOP);
+                        f.pass(5);
+                        f.signal(service, SIGCONT);
+                      }});
+  }
+  faults.push_back({"second ingest on the bus", [](Flight& f) { f.start_second_ingest(); }});
+  faults.push_back({fmt::format("{} garbage messages", arguments.garbage), [&arguments](Flight& f) {
+                      std::mt19937_64 random(1);
+                      for (int i = 0; i < arguments.garbage; ++i) {
+                        publish_garbage(f.bus(), random);
+                        if (i % 50 == 0) f.hear(0);
+                      }
+                    }});
+  faults.push_back({fmt::format("{} absurd messages", arguments.absurd), [&arguments](Flight& f) {
+                      std::mt19937_64 random(1);
+                      for (int i = 0; i < arguments.absurd; ++i) {
+                        publish_absurd(f.bus(), random, f.utime(), f.session(), f.keyframe());
+                        if (i % 20 == 0) f.hear(0);
+                      }
+                    }});
+  return faults;
+}
+
+void fly(const Arguments& arguments) {
+  fmt::print(
+      "| fault | longest silence of NAV_STATE (s) | map-aided again after (s) | fusion RMSE (m) | restarted | "
+      "others that ended | resets |\n|---|---|---|---|---|---|---|\n");
+  for (const Fault& fault : all_faults(arguments)) {
+    const bool chosen =
+        arguments.only.empty() || std::any_of(arguments.only.begin(), arguments.only.end(),
+                                              [&](auto& o) { return fault.name.find(o) != std::string::npos; });
+    if (!chosen) continue;
+    Flight flight(arguments);
+    if (!flight.begin()) throw std::runtime_error("the flight does not begin");
+    const auto end = Clock::now() + std::chrono::duration<double>(arguments.length);
+    flight.pass(arguments.strike);
+    flight.strike();
+    fault.strike(flight);
+    flight.pass(std::chrono::duration<double>(end - Clock::now()).count());
+    const Row row = flight.result();
+    fmt::print("| {} | {:.1f} | {} | {:.2f} | {} | {} | {} |\n", fault.name, row.silent_s,
+               row.recovered_s < 0 ? "never" : fmt::format("{:.1f}", row.recovered_s), row.rmse_m, row.restarted,
+               row.other_deaths, row.resets);
+    std::fflush(stdout);
+  }
+}
+
+}  // namespace
+}  // namespace orthonav::faults
+
+int main(int argc, char** argv) {
+  CLI::App app{"Flies one flight once for each fault and prints a table."};
+  orthonav::faults::Arguments arguments;
+  app.add_option("--config", arguments.config)->required()->check(CLI::ExistingDirectory);
+  app.add_option("--log", arguments.log)->required()->check(CLI::ExistingFile);
+  app.add_option("--map", arguments.map)->required()->check(CLI::ExistingFile);
+  app.add_option("--strike", arguments.strike, "s into the flight")->capture_default_str();
+  app.add_option("--length", arguments.length, "s of the flight that are flown")->capture_default_str();
+  app.add_option("--garbage", arguments.garbage, "messages of the flood")->capture_default_str();
+  app.add_option("--absurd", arguments.absurd, "messages of the flood")->capture_default_str();
+  app.add_option("--only", arguments.only, "faults whose name contains one of these")->delimiter(',');
+  CLI11_PARSE(app, argc, argv);
+  try {
+    orthonav::faults::fly(arguments);
+  } catch (const std::exception& error) {
+    fmt::print(stderr, "fault_flight: {}\n", error.what());
+    return 1;
+  }
+  return 0;
+}

@@ -1,0 +1,181 @@
+#include "tests/faults/vandal.h"
+
+#include <algorithm>
+#include <cmath>
+#include <limits>
+#include <vector>
+
+#include "common/bus/channels.h"
+#include "orthonav/altitude_t.hpp"
+#include "orthonav/compass_t.hpp"
+#include "orthonav/health_t.hpp"
+#include "orthonav/image_t.hpp"
+#include "orthonav/imu_t.hpp"
+#include "orthonav/map_fix_t.hpp"
+#include "orthonav/map_info_t.hpp"
+#include "orthonav/map_tile_request_t.hpp"
+#include "orthonav/map_tile_t.hpp"
+#include "orthonav/vio_keyframe_t.hpp"
+#include "orthonav/vio_state_t.hpp"
+
+namespace orthonav::faults {
+
+namespace {
+
+constexpr const char* kChannels[] = {
+    channel::kImu,     channel::kCamera,  channel::kCompass, channel::kVioState,       channel::kVioKeyframe,
+    channel::kMapInfo, channel::kMapTile, channel::kMapFix,  channel::kMapTileRequest, channel::kHealth};
+
+// A number that no sensor reads.
+double absurd(std::mt19937_64& random) {
+  constexpr double kNumbers[] = {std::numeric_limits<double>::quiet_NaN(),
+                                 std::numeric_limits<double>::infinity(),
+                                 -std::numeric_limits<double>::infinity(),
+                                 1e300,
+                                 -1e12,
+                                 1e7};
+  return kNumbers[random() % std::size(kNumbers)];
+}
+
+void fill(double* values, size_t count, std::mt19937_64& random) {
+  for (size_t i = 0; i < count; ++i) values[i] = absurd(random);
+}
+
+int64_t some_time(std::mt19937_64& random, int64_t now) {
+  const int64_t times[] = {now,
+                           now + 86'400'000'000,
+                           now - 86'400'000'000,
+                           -5,
+                           0,
+                           std::numeric_limits<int64_t>::max(),
+                           std::numeric_limits<int64_t>::min()};
+  return times[random() % std::size(times)];
+}
+
+}  // namespace
+
+void publish_garbage(lcm::LCM& bus, std::mt19937_64& random) {
+  std::vector<uint8_t> bytes(random() % 400);
+  for (auto& byte : bytes) byte = static_cast<uint8_t>(random());
+  // A sound fingerprint first, every third time, so that the decoder goes on to the lengths that follow.
+  if (random() % 3 == 0) {
+    const vio_keyframe_t keyframe{};
+    std::vector<uint8_t> sound(static_cast<size_t>(keyframe.getEncodedSize()));
+    keyframe.encode(sound.data(), 0, static_cast<int>(sound.size()));
+    std::copy_n(sound.begin(), std::min<size_t>({8, sound.size(), bytes.size()}), bytes.begin());
+  }
+  bus.publish(kChannels[random() % std::size(kChannels)], bytes.data(), static_cast<unsigned>(bytes.size()));
+}
+
+void publish_absurd(lcm::LCM& bus, std::mt19937_64& random, int64_t now, int32_t session, int32_t keyframe) {
+  switch (random() % 10) {
+    case 0: {
+      imu_t m{};
+      m.utime = some_time(random, now);
+      fill(m.angular_rate, 3, random);
+      fill(m.specific_force, 3, random);
+      if (random() % 2 == 0 && m.utime != now) {
+        // Only the time is wrong.
+        std::fill_n(m.angular_rate, 3, 0.0);
+        std::fill_n(m.specific_force, 3, 5.0);
+      }
+      bus.publish(channel::kImu, &m);
+      break;
+    }
+    case 1: {
+      image_t m{};
+      m.utime = some_time(random, now);
+      m.width = random() % 2 == 0 ? -1 : 1 << 30;
+      m.height = 1 << 30;
+      m.pixelformat = random() % 2 == 0 ? +image_t::PIXEL_FORMAT_GRAY : +image_t::PIXEL_FORMAT_MJPEG;
+      m.data.resize(16);
+      m.size = 16;
+      bus.publish(channel::kCamera, &m);
+      break;
+    }
+    case 2: {
+      compass_t m{};
+      m.utime = some_time(random, now);
+      m.heading = absurd(random);
+      m.heading_stddev = absurd(random);
+      bus.publish(channel::kCompass, &m);
+      break;
+    }
+    case 3: {
+      altitude_t m{};
+      m.utime = some_time(random, now);
+      m.height_above_ground = absurd(random);
+      m.stddev = absurd(random);
+      bus.publish(channel::kAltitude, &m);
+      break;
+    }
+    case 4: {
+      vio_state_t m{};
+      m.utime = some_time(random, now);
+      m.session = session;
+      m.status = static_cast<int8_t>(random());
+      fill(m.p_W_B, 3, random);
+      fill(m.q_W_B, 4, random);
+      fill(m.v_W_B, 3, random);
+      bus.publish(channel::kVioState, &m);
+      break;
+    }
+    case 5: {
+      vio_keyframe_t m{};
+      m.utime = some_time(random, now);
+      m.session = session;
+      m.id = static_cast<int32_t>(random());
+      fill(m.p_W_B, 3, random);
+      fill(m.q_W_B, 4, random);
+      m.features.resize(3);
+      for (auto& feature : m.features) fill(feature.p_W, 3, random);
+      m.num_features = 3;
+      bus.publish(channel::kVioKeyframe, &m);
+      break;
+    }
+    case 6: {
+      map_fix_t m{};
+      m.utime = some_time(random, now);
+      m.session = session;
+      m.keyframe_id = keyframe;
+      m.valid = 1;
+      // 100 km to the north, and sure of it; or nowhere.
+      m.latitude_deg = random() % 2 == 0 ? 49.5 : absurd(random);
+      m.longitude_deg = 8.5;
+      m.anchor_latitude_deg = 48.6;
+      m.anchor_longitude_deg = 8.5;
+      for (double& c : m.position_covariance) c = 0;
+      m.position_covariance[0] = m.position_covariance[4] = m.position_covariance[8] =
+          random() % 2 == 0 ? 0.01 : absurd(random);
+      m.q_G_B[0] = absurd(random);
+      bus.publish(channel::kMapFix, &m);
+      break;
+    }
+    case 7: {
+      map_info_t m{};
+      m.fingerprint = "made-up";
+      m.metres_per_pixel = absurd(random);
+      m.tile_columns = m.tile_rows = random() % 2 == 0 ? -1 : 1 << 30;
+      m.num_features = std::numeric_limits<int64_t>::max();
+      bus.publish(channel::kMapInfo, &m);
+      break;
+    }
+    case 8: {
+      map_tile_t m{};
+      m.fingerprint = "made-up";
+      m.tile = static_cast<int32_t>(random());
+      m.num_parts = static_cast<int32_t>(random());
+      bus.publish(channel::kMapTile, &m);
+      break;
+    }
+    default: {
+      map_tile_request_t m{};
+      m.fingerprint = "made-up";
+      m.tile.assign(100, static_cast<int32_t>(random()));
+      m.num_tiles = 100;
+      bus.publish(channel::kMapTileRequest, &m);
+    }
+  }
+}
+
+}  // namespace orthonav::faults

@@ -1,0 +1,36 @@
+// Reads which service runs on which board, for scripts and for systemd.
+#include <cstdio>
+#include <filesystem>
+#include <fstream>
+
+#include <CLI/CLI.hpp>
+#include <fmt/format.h>
+#include <fmt/ranges.h>
+
+#include "tools/boards/boards.h"
+
+int main(int argc, char** argv) {
+  CLI::App app{
+      "Reads which service runs on which board. Without --targets: one line a board, with address and services."};
+  std::filesystem::path file, folder;
+  app.add_option("file", file, "e.g. /usr/share/orthonav/boards/three.yaml")->required()->check(CLI::ExistingFile);
+  app.add_option("--targets", folder, "write orthonav-BOARD.target for each board into this folder");
+  CLI11_PARSE(app, argc, argv);
+  try {
+    for (const auto& board : orthonav::boards::load(file)) {
+      if (folder.empty()) {
+        fmt::print("{} {} {}\n", board.name, board.address, fmt::join(board.services, " "));
+        continue;
+      }
+      const auto unit = folder / ("orthonav-" + board.name + ".target");
+      std::ofstream out(unit);
+      out << orthonav::boards::target_unit(board, file);
+      out.close();
+      if (!out) throw std::runtime_error(unit.string() + ": cannot write");
+    }
+    return 0;
+  } catch (const std::exception& error) {
+    std::fprintf(stderr, "orthonav-boards: %s\n", error.what());
+    return 1;
+  }
+}
