@@ -49,7 +49,10 @@ function(orthonav_executable name)
   add_executable(${name} ${ARG_SOURCES})
   target_link_libraries(${name} PRIVATE ${ARG_LINKS} CLI11::CLI11)
   orthonav_compile_options(${name})
-  install(TARGETS ${name} RUNTIME DESTINATION bin COMPONENT runtime)
+  # Experiments and benchmarks stay in the build folder.
+  if(name MATCHES "^orthonav-")
+    install(TARGETS ${name} RUNTIME DESTINATION bin COMPONENT runtime)
+  endif()
 endfunction()
 
 # orthonav_test(name SOURCES a.cpp ... LINKS lib ... [LABELS ...] [TIMEOUT s] [FIXTURE f] [OWN_BUS] [ALONE]):
