@@ -4,13 +4,8 @@
 #include <cmath>
 #include <limits>
 
-#include <ceres/ceres.h>
-#include <fmt/format.h>
-
 #include "common/math/so3.h"
 #include "common/math/statistics.h"
-#include "services/vio/imu_factor.h"
-#include "services/vio/projection_factor.h"
 
 namespace orthonav::vio {
 namespace {
@@ -22,6 +17,10 @@ constexpr double kTolerance = 1e-4;  // relative decrease of the cost at which a
 Estimator::Estimator(const EstimatorOptions& options, const Extrinsics& extrinsics, const ImuNoise& noise, double focal)
     : options_(options), extrinsics_(extrinsics), noise_(noise), focal_(focal) {
   gyro_bias_sigma_ = options.gyro_bias_sigma;
+  shared_.state.set(extrinsics);
+  shared_.state.time_offset[0] = options.time_offset;
+  shared_.camera_free = options.refine_extrinsics;
+  shared_.time_free = options.estimate_time_offset;
   reset();
 }
 
@@ -30,25 +29,44 @@ void Estimator::reset() {
   frames_.clear();
   landmarks_.clear();
   prior_ = {};
-  last_pixels_.clear();
+  hints_.clear();
+  new_hint_.reset();
+  shared_.camera_fixed = shared_.time_fixed = shared_.height_fixed = false;
+  shared_.height_free = false;
+  shared_.state.height_bias[0] = 0;
+  last_seen_.clear();
+  glances_.clear();
+  still_ = false;
   still_time_ = 0;
-  still_samples_ = 0;
-  still_gyro_sum_.setZero();
+  error_time_ = 0;
+  sunk_time_ = 0;
+  seen_utime_ = 0;
+  last_frame_utime_ = 0;
   next_frame_id_ = 0;
   next_keyframe_id_ = 0;
   height_ = std::numeric_limits<double>::quiet_NaN();
   pose_covariance_.setConstant(std::numeric_limits<double>::quiet_NaN());
+  velocity_covariance_.setConstant(std::numeric_limits<double>::quiet_NaN());
+  scale_stddev_ = std::numeric_limits<double>::quiet_NaN();
   q_P_W_.setIdentity();
   p_P_W_.setZero();
   newest_ = StateValues{};
   published_.reset();
   outliers_.clear();
+  rescaled_ = false;
+}
+
+void Estimator::hint_scale(double ratio, double stddev) {
+  if (status_ == Status::kInitialising || !(ratio > 0.5 && ratio < 2.0) || !(stddev > 1e-4 && stddev < 1.0)) return;
+  new_hint_ = {ratio, stddev};
 }
 
 Estimator::Status Estimator::process(int64_t utime, const std::vector<TrackedFeature>& features,
-                                     const std::vector<ImuSample>& imu) {
+                                     const std::vector<ImuSample>& imu,
+                                     const std::optional<HeightMeasurement>& height) {
   published_.reset();
   outliers_.clear();
+  rescaled_ = false;
   if (frames_.size() > 1 && !frames_.back()->keyframe) {
     std::unique_ptr<Preintegration> kept = std::move(frames_.back()->imu);
     const StateValues propagated_from = frames_.back()->state;
@@ -70,14 +88,23 @@ Estimator::Status Estimator::process(int64_t utime, const std::vector<TrackedFea
   } else {
     add_frame(utime, imu);
   }
-  add_observations(features);
+  add_observations(utime, features, imu);
+  watch_standstill(utime, features, imu);
+  Frame& newest = *frames_.back();
+  if (height && options_.use_altitude) {
+    newest.height = height;
+    newest.height->stddev = std::hypot(height->stddev, options_.altitude_relief);
+  }
   if (status_ == Status::kInitialising) {
-    collect_for_start(features);
+    collect_for_start();
     return status_;
   }
-  Frame& newest = *frames_.back();
-  newest.keyframe = wants_keyframe();
+  // Standstill over a second, seen to half a pixel: so fast it may still drift.
+  if (still_) newest.still_sigma = 0.01 + (height_ > 0 ? 0.5 * height_ / focal_ : 0);
+  choose_keyframe();
   triangulate();
+  choose_height_landmark(newest);
+  if (newest.keyframe) take_hint();
   optimise(options_.iterations, kTolerance);
   find_outliers();
   gyro_bias_ = newest.state.bg();
@@ -90,8 +117,14 @@ Estimator::Status Estimator::process(int64_t utime, const std::vector<TrackedFea
   }
   follow_published();
   if (newest.keyframe) {
+    if (scale_was_wrong()) publish_anew();
     publish_keyframe();
-    if (static_cast<int>(frames_.size()) > options_.window) marginalise_oldest();
+    const size_t previous = frames_.size() - 2;
+    if (newest.stationary && frames_[previous]->stationary) {
+      remove_frame(previous);
+    } else if (static_cast<int>(frames_.size()) > options_.window) {
+      marginalise_oldest();
+    }
   }
   return status_;
 }
@@ -100,6 +133,7 @@ void Estimator::add_frame(int64_t utime, const std::vector<ImuSample>& imu) {
   auto frame = std::make_unique<Frame>();
   frame->id = next_frame_id_++;
   frame->utime = utime;
+  frame->time_shift = shared_.state.time_offset[0];
   if (frames_.empty()) {
     frame->state.bg() = gyro_bias_;
   } else {
@@ -116,14 +150,64 @@ void Estimator::add_frame(int64_t utime, const std::vector<ImuSample>& imu) {
   frames_.push_back(std::move(frame));
 }
 
-void Estimator::add_observations(const std::vector<TrackedFeature>& features) {
+void Estimator::add_observations(int64_t utime, const std::vector<TrackedFeature>& features,
+                                 const std::vector<ImuSample>& imu) {
   for (auto& [id, landmark] : landmarks_) landmark.tracked = false;
+  Frame* newest = frames_.back().get();
+  // How fast bearings move: by rotation as the gyroscope tells, by translation as they did before this image. A rate
+  // that contained this image's own noise would make that noise look like a time offset.
+  Eigen::Vector3d turn = Eigen::Vector3d::Zero();  // in C since the previous frame
+  Eigen::Vector3d rate_C = Eigen::Vector3d::Zero();
+  double dt = 0;
+  for (size_t k = 1; k < imu.size(); ++k) {
+    const double step = 1e-6 * static_cast<double>(imu[k].utime - imu[k - 1].utime);
+    turn += step * (0.5 * (imu[k].gyro + imu[k - 1].gyro) - gyro_bias_);
+    dt += step;
+  }
+  turn = extrinsics_.R_B_C.transpose() * turn;
+  if (!imu.empty()) rate_C = extrinsics_.R_B_C.transpose() * (imu.back().gyro - gyro_bias_);
+  const Eigen::Matrix3d R_now_before = so3_exp(turn).toRotationMatrix().transpose();
+  const auto rotational = [&](const Eigen::Vector3d& ray) -> Eigen::Vector2d {
+    const Eigen::Vector3d moved = -rate_C.cross(ray);
+    return moved.head<2>() - ray.head<2>() * moved.z();
+  };
+  std::map<int64_t, Sight> seen;
+  std::vector<double> u, v;
+  for (const TrackedFeature& feature : features) {
+    Sight sight{utime, feature.ray, Eigen::Vector2d::Zero(), 0};
+    const auto before = last_seen_.find(feature.id);
+    if (before != last_seen_.end() && dt > 0) {
+      constexpr double kNewest = 0.2;  // weight of the newest of many differences
+      const Eigen::Vector3d turned = R_now_before * before->second.ray;
+      const Eigen::Vector2d difference = (feature.ray.head<2>() - turned.head<2>() / turned.z()) / dt;
+      sight.differences = before->second.differences + 1;
+      const double weight = std::max(kNewest, 1.0 / sight.differences);
+      sight.drift = (1 - weight) * before->second.drift + weight * difference;
+      u.push_back(difference.x());
+      v.push_back(difference.y());
+    }
+    seen[feature.id] = sight;
+  }
+  if (last_seen_.empty()) {
+    // Nothing tells yet how fast these move. Bearings without a rate beside others with one would say that there is no
+    // time offset, so they wait for the next image.
+    last_seen_ = std::move(seen);
+    return;
+  }
+  const Eigen::Vector2d usual = u.empty() ? Eigen::Vector2d::Zero() : Eigen::Vector2d(median(u), median(v));
   for (const TrackedFeature& feature : features) {
     Landmark& landmark = landmarks_[feature.id];
     landmark.id = feature.id;
     landmark.tracked = true;
-    landmark.observations.push_back({frames_.back().get(), feature.pixel, feature.ray});
+    const auto before = last_seen_.find(feature.id);
+    const bool known = before != last_seen_.end() && before->second.differences > 0;
+    Observation observation{newest, feature.pixel, feature.ray, Eigen::Vector2d::Zero()};
+    observation.rate = rotational(feature.ray) + (known ? before->second.drift : usual);
+    // A shutter that rolls sees the rows of a picture at times of their own.
+    observation.ray.head<2>() -= observation.rate * feature.row_delay;
+    landmark.observations.push_back(observation);
   }
+  last_seen_ = std::move(seen);
 }
 
 void Estimator::drop_newest() {
@@ -164,8 +248,12 @@ double Estimator::parallax_to(const Frame& reference, int* common) const {
   return count > 0 ? sum / count : 0.0;
 }
 
-bool Estimator::wants_keyframe() const {
-  const Frame& last = *frames_[frames_.size() - 2];
+void Estimator::choose_keyframe() {
+  Frame& newest = *frames_.back();
+  // Motion counts from the last keyframe that was made because of it.
+  size_t reference = frames_.size() - 2;
+  while (reference > 0 && frames_[reference]->stationary) --reference;
+  const Frame& last = *frames_[reference];
   int common = 0;
   const double parallax = parallax_to(last, &common);
   int in_last = 0, tracked = 0;
@@ -178,8 +266,12 @@ bool Estimator::wants_keyframe() const {
       }
     }
   }
-  if (tracked < options_.min_landmarks) return false;
-  return parallax > options_.keyframe_parallax || common < options_.keyframe_tracked * in_last;
+  if (tracked < options_.min_landmarks) return;
+  newest.keyframe = parallax > options_.keyframe_parallax || common < options_.keyframe_tracked * in_last;
+  const int64_t previous = frames_[frames_.size() - 2]->utime;
+  if (!newest.keyframe && 1e-6 * static_cast<double>(newest.utime - previous) > options_.keyframe_interval) {
+    newest.keyframe = newest.stationary = true;
+  }
 }
 
 void Estimator::triangulate() {
@@ -215,155 +307,6 @@ std::vector<Frame*> Estimator::frame_pointers() const {
   return result;
 }
 
-NormalEquations Estimator::normal_equations() const {
-  NormalEquations equations(frame_pointers());
-  equations.add_prior(prior_);
-  for (size_t k = 1; k < frames_.size(); ++k) equations.add_imu(*frames_[k - 1], *frames_[k], options_.gravity);
-  for (const auto& [id, landmark] : landmarks_) {
-    if (landmark.has_depth && landmark.observations.size() >= 2) {
-      equations.add_landmark(landmark, extrinsics_, weight(), options_.robust_width);
-    }
-  }
-  return equations;
-}
-
-void Estimator::optimise(int iterations, double tolerance) {
-  for (size_t k = 1; k < frames_.size(); ++k) {
-    // The first-order bias correction holds for small changes only.
-    const StateValues& state = frames_[k - 1]->state;
-    Preintegration& pre = *frames_[k]->imu;
-    if ((state.bg() - pre.gyro_bias()).norm() > 2e-3 || (state.ba() - pre.accel_bias()).norm() > 5e-2) {
-      pre.repropagate(state.ba(), state.bg());
-    }
-  }
-  PoseManifold manifold;
-  ceres::HuberLoss loss(options_.robust_width);
-  ceres::Problem::Options problem_options;
-  problem_options.manifold_ownership = ceres::DO_NOT_TAKE_OWNERSHIP;
-  problem_options.loss_function_ownership = ceres::DO_NOT_TAKE_OWNERSHIP;
-  problem_options.disable_all_safety_checks = true;
-  ceres::Problem problem(problem_options);
-  // Ceres eliminates the blocks of a group in the order of their addresses, and a replay must repeat bit for bit
-  // whatever the heap looks like: each state is a group of its own, and the depths lie in a row.
-  auto ordering = std::make_shared<ceres::ParameterBlockOrdering>();
-  int group = 0;
-  for (const auto& frame : frames_) {
-    problem.AddParameterBlock(frame->state.pose.data(), 7, &manifold);
-    problem.AddParameterBlock(frame->state.speed_bias.data(), 9);
-    ordering->AddElementToGroup(frame->state.pose.data(), ++group);
-    ordering->AddElementToGroup(frame->state.speed_bias.data(), ++group);
-  }
-  std::vector<double> inverse_depths;
-  std::vector<Landmark*> solved;
-  inverse_depths.reserve(landmarks_.size());
-  if (!prior_.empty()) {
-    std::vector<double*> blocks;
-    for (const Prior::Block& block : prior_.blocks) {
-      blocks.push_back(block.speed_bias ? block.frame->state.speed_bias.data() : block.frame->state.pose.data());
-    }
-    problem.AddResidualBlock(new PriorFactor(prior_), nullptr, blocks);
-  }
-  for (size_t k = 1; k < frames_.size(); ++k) {
-    Frame& i = *frames_[k - 1];
-    Frame& j = *frames_[k];
-    problem.AddResidualBlock(new ImuFactor(*j.imu, i, j, options_.gravity), nullptr, i.state.pose.data(),
-                             i.state.speed_bias.data(), j.state.pose.data(), j.state.speed_bias.data());
-  }
-  for (auto& [id, landmark] : landmarks_) {
-    if (!landmark.has_depth || landmark.observations.size() < 2) continue;
-    const Observation& anchor = landmark.anchor();
-    inverse_depths.push_back(landmark.inverse_depth);
-    bool added = false;
-    for (size_t k = 1; k < landmark.observations.size(); ++k) {
-      const Observation& other = landmark.observations[k];
-      if (!ProjectionFactor::evaluate(anchor.ray, other.ray, extrinsics_, weight(), anchor.frame->state.pose.data(),
-                                      other.frame->state.pose.data(), landmark.inverse_depth, nullptr, nullptr)) {
-        continue;
-      }
-      problem.AddResidualBlock(
-          new ProjectionFactor(anchor.ray, other.ray, extrinsics_, weight(), *anchor.frame, *other.frame), &loss,
-          anchor.frame->state.pose.data(), other.frame->state.pose.data(), &inverse_depths.back());
-      added = true;
-    }
-    if (added) {
-      ordering->AddElementToGroup(&inverse_depths.back(), 0);
-      solved.push_back(&landmark);
-    } else {
-      inverse_depths.pop_back();
-    }
-  }
-  ceres::Solver::Options options;
-  options.linear_solver_type = ceres::DENSE_SCHUR;
-  options.linear_solver_ordering = ordering;
-  options.trust_region_strategy_type = ceres::LEVENBERG_MARQUARDT;
-  options.initial_trust_region_radius = 1e6;
-  options.max_num_iterations = iterations;
-  options.function_tolerance = tolerance;
-  options.num_threads = 1;
-  options.logging_type = ceres::SILENT;
-  ceres::Solver::Summary summary;
-  ceres::Solve(options, &problem, &summary);
-  for (size_t k = 0; k < solved.size(); ++k) solved[k]->inverse_depth = inverse_depths[k];
-}
-
-void Estimator::find_outliers() {
-  const Frame* newest = frames_.back().get();
-  for (auto it = landmarks_.begin(); it != landmarks_.end();) {
-    Landmark& landmark = it->second;
-    bool wrong = false;
-    if (landmark.has_depth && landmark.observations.size() >= 2) {
-      double sum = 0, last = 0;
-      size_t count = 0;
-      wrong = landmark.inverse_depth <= 1e-5;
-      for (size_t k = 1; k < landmark.observations.size() && !wrong; ++k) {
-        const Observation& other = landmark.observations[k];
-        Eigen::Vector2d r;
-        if (!ProjectionFactor::evaluate(landmark.anchor().ray, other.ray, extrinsics_, focal_,
-                                        landmark.anchor().frame->state.pose.data(), other.frame->state.pose.data(),
-                                        landmark.inverse_depth, &r, nullptr)) {
-          wrong = true;
-          break;
-        }
-        sum += r.squaredNorm();
-        ++count;
-        if (other.frame == newest) last = r.norm();
-      }
-      landmark.reprojection_error = count > 0 ? std::sqrt(sum / static_cast<double>(count)) : 0;
-      wrong = wrong || landmark.reprojection_error > options_.outlier_error || last > 2 * options_.outlier_error;
-    }
-    if (wrong) {
-      if (landmark.tracked) outliers_.insert(landmark.id);
-      it = landmarks_.erase(it);
-    } else {
-      ++it;
-    }
-  }
-}
-
-std::string Estimator::find_failure() {
-  const Frame& newest = *frames_.back();
-  int in_view = 0;
-  for (const auto& [id, landmark] : landmarks_) in_view += landmark.tracked && landmark.has_depth ? 1 : 0;
-  if (in_view >= options_.min_landmarks || seen_utime_ == 0) seen_utime_ = newest.utime;
-  status_ = in_view < options_.degraded_landmarks ? Status::kDegraded : Status::kTracking;
-  reason_ = status_ == Status::kDegraded ? fmt::format("only {} landmarks in view", in_view) : "";
-  const StateValues& state = newest.state;
-  if (!state.p().allFinite() || !state.v().allFinite() || !state.q().coeffs().allFinite()) {
-    return "the estimate is not finite";
-  }
-  if (1e-6 * static_cast<double>(newest.utime - seen_utime_) > options_.blind_time) {
-    return fmt::format("fewer than {} landmarks in view for {:.1f} s", options_.min_landmarks, options_.blind_time);
-  }
-  if (state.ba().norm() > options_.max_accel_bias) {
-    return fmt::format("accelerometer bias of {:.2f} m/s^2", state.ba().norm());
-  }
-  if (state.bg().norm() > options_.max_gyro_bias) {
-    return fmt::format("gyroscope bias of {:.3f} rad/s", state.bg().norm());
-  }
-  if (state.v().norm() > options_.max_speed) return fmt::format("speed of {:.0f} m/s", state.v().norm());
-  return "";
-}
-
 void Estimator::update_height() {
   std::vector<double> heights;
   for (const auto& [id, landmark] : landmarks_) {
@@ -373,47 +316,6 @@ void Estimator::update_height() {
     heights.push_back((anchor.frame->state.q() * p_B + anchor.frame->state.p()).z());
   }
   height_ = frames_.back()->state.p().z() - median(heights);
-}
-
-void Estimator::marginalise_oldest() {
-  Frame& oldest = *frames_.front();
-  NormalEquations equations(frame_pointers());
-  equations.add_prior(prior_);
-  equations.add_imu(oldest, *frames_[1], options_.gravity);
-  for (auto it = landmarks_.begin(); it != landmarks_.end();) {
-    Landmark& landmark = it->second;
-    if (landmark.anchor().frame != &oldest) {
-      ++it;
-      continue;
-    }
-    if (!landmark.tracked || landmark.observations.size() < 2) {
-      if (landmark.has_depth && landmark.observations.size() >= 2) {
-        equations.add_landmark(landmark, extrinsics_, weight(), options_.robust_width);
-      }
-      it = landmarks_.erase(it);
-      continue;
-    }
-    // Still seen: anchored at its next observation, at the depth it has there.
-    if (landmark.has_depth) {
-      const Eigen::Vector3d p_B =
-          extrinsics_.R_B_C * landmark.anchor().ray / landmark.inverse_depth + extrinsics_.p_B_C;
-      const Eigen::Vector3d p_W = oldest.state.q() * p_B + oldest.state.p();
-      const StateValues& next = landmark.observations[1].frame->state;
-      const Eigen::Vector3d p_C =
-          extrinsics_.R_B_C.transpose() * (next.q().conjugate() * (p_W - next.p()) - extrinsics_.p_B_C);
-      if (p_C.z() > 0.05) {
-        landmark.inverse_depth = 1.0 / p_C.z();
-      } else {
-        landmark.has_depth = false;
-      }
-    }
-    landmark.observations.erase(landmark.observations.begin());
-    if (landmark.observations.size() < 2) landmark.has_depth = false;
-    ++it;
-  }
-  prior_ = equations.marginalise(oldest);
-  frames_.erase(frames_.begin());
-  frames_.front()->imu.reset();
 }
 
 }  // namespace orthonav::vio

@@ -44,6 +44,7 @@ void Estimator::publish_keyframe() {
   keyframe.state = newest_;
   keyframe.height_above_ground = height_;
   keyframe.relative_covariance.setConstant(std::numeric_limits<double>::quiet_NaN());
+  keyframe.scale_stddev = std::numeric_limits<double>::quiet_NaN();
   for (const auto& [id, landmark] : landmarks_) {
     if (!landmark.tracked || !landmark.has_depth || landmark.observations.size() < 2) continue;
     const Observation& anchor = landmark.anchor();
@@ -61,7 +62,7 @@ void Estimator::publish_keyframe() {
     for (size_t k = 1; k < landmark.observations.size(); ++k) {
       const Observation& other = landmark.observations[k];
       ProjectionFactor::Jacobians J;
-      if (ProjectionFactor::evaluate(anchor.ray, other.ray, extrinsics_, weight(), at.pose.data(),
+      if (ProjectionFactor::evaluate(bearings_of(anchor, other), time_offset(), extrinsics_, weight(), at.pose.data(),
                                      other.frame->state.pose.data(), landmark.inverse_depth, nullptr, &J)) {
         information += J.inverse_depth.squaredNorm();
       }
@@ -70,30 +71,54 @@ void Estimator::publish_keyframe() {
     keyframe.features.push_back(feature);
   }
 
-  const Frame& previous = *frames_[frames_.size() - 2];
-  const NormalEquations equations = normal_equations();
-  const Eigen::MatrixXd joint =
-      equations.pose_covariance({equations.pose_offset(previous), equations.pose_offset(newest)});
-  if (joint.size() > 0) {
-    const Eigen::Matrix3d R_prev = previous.state.q().toRotationMatrix();
-    const Eigen::Matrix3d R_new = newest.state.q().toRotationMatrix();
-    // To a rotation vector in W: R_hat Exp(e) = Exp(R_hat e) R_hat.
-    Eigen::Matrix<double, 6, 6> to_world = Eigen::Matrix<double, 6, 6>::Identity();
-    to_world.topLeftCorner<3, 3>() = q_P_W_.toRotationMatrix();
-    to_world.bottomRightCorner<3, 3>() = q_P_W_.toRotationMatrix() * R_new;
-    pose_covariance_ = to_world * joint.bottomRightCorner<6, 6>() * to_world.transpose();
-    if (previous.keyframe_id == keyframe.id - 1 && previous.keyframe_id >= 0) {
-      Eigen::Matrix<double, 6, 12> J = Eigen::Matrix<double, 6, 12>::Zero();
-      J.block<3, 3>(0, 0) = -R_prev.transpose();
-      J.block<3, 3>(0, 3) = skew(R_prev.transpose() * (newest.state.p() - previous.state.p()));
-      J.block<3, 3>(0, 6) = R_prev.transpose();
-      J.block<3, 3>(3, 3) = -R_new.transpose() * R_prev;
-      J.block<3, 3>(3, 9).setIdentity();
-      keyframe.relative_covariance = J * joint * J.transpose();
-      keyframe.relative_covariance.bottomRightCorner<3, 3>().diagonal().array() += tilt_step_ * tilt_step_;
-    }
-  }
+  update_covariance(normal_equations(), keyframe);
   published_ = std::move(keyframe);
+}
+
+void Estimator::publish_anew() {
+  rescaled_ = true;
+  q_P_W_.setIdentity();
+  p_P_W_.setZero();
+  tilt_step_ = 0;
+  next_keyframe_id_ = 0;
+  for (const auto& frame : frames_) {
+    frame->keyframe_id = -1;
+    if (frame->at_start) frame->at_start = frame->state.p();
+  }
+  newest_ = as_published(frames_.back()->state);
+}
+
+void Estimator::update_covariance(const NormalEquations& equations, Keyframe& keyframe) {
+  const Frame& newest = *frames_.back();
+  const Frame& previous = *frames_[frames_.size() - 2];
+  std::vector<int> rows;
+  for (const int offset : {equations.pose_offset(previous), equations.pose_offset(newest)}) {
+    for (int k = 0; k < 6; ++k) rows.push_back(offset + k);
+  }
+  for (int k = 0; k < 3; ++k) rows.push_back(equations.speed_bias_offset(newest) + k);
+  const Eigen::MatrixXd joint = equations.covariance(rows);
+  scale_stddev_ = scale_sigma(equations);
+  keyframe.scale_stddev = scale_stddev_;
+  if (joint.size() == 0) return;
+  const Eigen::Matrix3d R_prev = previous.state.q().toRotationMatrix();
+  const Eigen::Matrix3d R_new = newest.state.q().toRotationMatrix();
+  const Eigen::Matrix3d R_P_W = q_P_W_.toRotationMatrix();
+  // To a rotation vector in W: R_hat Exp(e) = Exp(R_hat e) R_hat.
+  Eigen::Matrix<double, 6, 6> to_world = Eigen::Matrix<double, 6, 6>::Identity();
+  to_world.topLeftCorner<3, 3>() = R_P_W;
+  to_world.bottomRightCorner<3, 3>() = R_P_W * R_new;
+  pose_covariance_ = to_world * joint.block<6, 6>(6, 6) * to_world.transpose();
+  velocity_covariance_ = R_P_W * joint.bottomRightCorner<3, 3>() * R_P_W.transpose();
+  if (previous.keyframe_id == keyframe.id - 1 && previous.keyframe_id >= 0) {
+    Eigen::Matrix<double, 6, 12> J = Eigen::Matrix<double, 6, 12>::Zero();
+    J.block<3, 3>(0, 0) = -R_prev.transpose();
+    J.block<3, 3>(0, 3) = skew(R_prev.transpose() * (newest.state.p() - previous.state.p()));
+    J.block<3, 3>(0, 6) = R_prev.transpose();
+    J.block<3, 3>(3, 3) = -R_new.transpose() * R_prev;
+    J.block<3, 3>(3, 9).setIdentity();
+    keyframe.relative_covariance = J * joint.topLeftCorner<12, 12>() * J.transpose();
+    keyframe.relative_covariance.bottomRightCorner<3, 3>().diagonal().array() += tilt_step_ * tilt_step_;
+  }
 }
 
 }  // namespace orthonav::vio

@@ -15,53 +15,28 @@ constexpr double kStartTolerance = 1e-9;
 
 }  // namespace
 
-bool Estimator::standing_still(const std::vector<TrackedFeature>& features) const {
-  constexpr double kStillPixels = 0.3;  // between frames: the noise of tracking, and nothing in flight
-  std::vector<double> moved;
-  for (const TrackedFeature& feature : features) {
-    const auto last = last_pixels_.find(feature.id);
-    if (last != last_pixels_.end()) moved.push_back((last->second - feature.pixel).norm());
-  }
-  return moved.size() >= 10 && quantile(moved, 0.8) < kStillPixels;
-}
-
-void Estimator::collect_for_start(const std::vector<TrackedFeature>& features) {
+void Estimator::collect_for_start() {
   Frame& newest = *frames_.back();
-  const bool still = standing_still(features);
-  last_pixels_.clear();
-  for (const TrackedFeature& feature : features) last_pixels_[feature.id] = feature.pixel;
-
-  if (still && newest.imu) {
+  if (still_ && newest.imu) {
     // At rest the gyroscope reads its bias. Motion begins from the last frame at rest.
-    for (size_t k = 1; k < newest.imu->samples().size(); ++k) {
-      still_gyro_sum_ += newest.imu->samples()[k].gyro;
-      ++still_samples_;
-    }
-    still_time_ += newest.imu->duration();
-    if (still_time_ > 0.5) {
-      gyro_bias_ = still_gyro_sum_ / still_samples_;
-      gyro_bias_sigma_ = 2e-3;
-      gyro_bias_known_ = true;
-      while (frames_.size() > 1) frames_.erase(frames_.begin());
-      newest.imu.reset();
-      newest.keyframe = true;
-      newest.state.bg() = gyro_bias_;
-      for (auto it = landmarks_.begin(); it != landmarks_.end();) {
-        Landmark& landmark = it->second;
-        if (!landmark.tracked) {
-          it = landmarks_.erase(it);
-          continue;
-        }
-        landmark.observations.erase(landmark.observations.begin(), landmark.observations.end() - 1);
-        ++it;
+    gyro_bias_ = still_gyro_;
+    gyro_bias_sigma_ = 2e-3;
+    gyro_bias_known_ = true;
+    while (frames_.size() > 1) frames_.erase(frames_.begin());
+    newest.imu.reset();
+    newest.keyframe = true;
+    newest.state.bg() = gyro_bias_;
+    for (auto it = landmarks_.begin(); it != landmarks_.end();) {
+      Landmark& landmark = it->second;
+      if (!landmark.tracked) {
+        it = landmarks_.erase(it);
+        continue;
       }
-      reason_ = "standing still";
-      return;
+      landmark.observations.erase(landmark.observations.begin(), landmark.observations.end() - 1);
+      ++it;
     }
-  } else {
-    still_time_ = 0;
-    still_samples_ = 0;
-    still_gyro_sum_.setZero();
+    reason_ = "standing still";
+    return;
   }
 
   if (frames_.size() == 1) {
@@ -94,6 +69,7 @@ void Estimator::collect_for_start(const std::vector<TrackedFeature>& features) {
     seen_utime_ = newest.utime;
     gyro_bias_ = newest.state.bg();
     gyro_bias_known_ = true;
+    for (const auto& frame : frames_) frame->at_start = frame->state.p();
     update_height();
     follow_published();
     publish_keyframe();
@@ -135,8 +111,11 @@ bool Estimator::try_start() {
     reason_ = "collecting motion";
     return false;
   }
-  const auto give_up = [this](const std::string& why) {
+  const SharedValues before = shared_.state;
+  const auto give_up = [&](const std::string& why) {
     reason_ = why;
+    shared_.state = before;
+    extrinsics_ = before.extrinsics();
     for (auto& [id, landmark] : landmarks_) landmark.has_depth = false;
     for (const auto& frame : frames_) {
       frame->state = StateValues{};
@@ -157,15 +136,13 @@ bool Estimator::try_start() {
   if (start.residual > options_.outlier_error) {
     return give_up(fmt::format("the motion does not fit the IMU ({:.1f} px)", start.residual));
   }
-  InitialUncertainty sigma;
-  sigma.accel_bias = options_.accel_bias_sigma;
-  sigma.gyro_bias = gyro_bias_known_ ? gyro_bias_sigma_ : std::max(0.1, gyro_bias_sigma_);
-  prior_ = make_initial_prior(*frames_.front(), sigma, Eigen::Vector3d::Zero(), gyro_bias_);
+  const double gyro_sigma = gyro_bias_known_ ? gyro_bias_sigma_ : std::max(0.1, gyro_bias_sigma_);
+  start_prior(before, gyro_sigma);
+  for (const auto& frame : frames_) choose_height_landmark(*frame);
   // To the bottom: scale lies in a shallow direction of the cost.
   optimise(40, kStartTolerance);
   // Position and yaw stay at the first frame; its attitude and biases have moved.
-  frames_.front()->pose_fixed = frames_.front()->speed_bias_fixed = false;
-  prior_ = make_initial_prior(*frames_.front(), sigma, Eigen::Vector3d::Zero(), gyro_bias_);
+  start_prior(before, gyro_sigma);
   find_outliers();
   triangulate();
   optimise(40, kStartTolerance);
@@ -190,6 +167,23 @@ bool Estimator::try_start() {
   }
   outliers_.clear();
   return true;
+}
+
+void Estimator::start_prior(const SharedValues& shared, double gyro_sigma) {
+  InitialUncertainty sigma;
+  sigma.accel_bias = options_.accel_bias_sigma;
+  sigma.gyro_bias = gyro_sigma;
+  frames_.front()->pose_fixed = frames_.front()->speed_bias_fixed = false;
+  prior_ = make_initial_prior(*frames_.front(), sigma, Eigen::Vector3d::Zero(), gyro_bias_);
+  shared_.state = shared;
+  extrinsics_ = shared.extrinsics();
+  shared_.camera_fixed = shared_.time_fixed = shared_.height_fixed = false;
+  SharedUncertainty uncertain;
+  uncertain.camera_rotation = options_.extrinsics_sigma_deg * 3.14159265358979323846 / 180;
+  uncertain.camera_position = options_.extrinsics_sigma_m;
+  uncertain.time_offset = options_.time_offset_sigma;
+  uncertain.height_bias = options_.altitude_bias_sigma;
+  add_shared_prior(prior_, shared_, uncertain);
 }
 
 double Estimator::scale_sigma(const NormalEquations& equations) const {

@@ -4,6 +4,7 @@
 #include <filesystem>
 
 #include "common/camera/camera_model.h"
+#include "services/vio/calibration_check.h"
 #include "services/vio/estimator.h"
 #include "services/vio/tracker.h"
 
@@ -13,8 +14,13 @@ struct VioOptions {
   TrackerOptions tracker;
   EstimatorOptions estimator;
   ImuNoise imu;
-  double camera_time_offset = 0;  // s: IMU time = image time + offset, that of the extrinsics included
-  double max_imu_gap = 0.25;      // s: a longer gap in the IMU cannot be bridged and restarts the odometry
+  CalibrationCheckOptions calibration;
+  double readout_time = 0;     // s, of a rolling shutter, from the first row to the last; 0: global shutter
+  double max_imu_gap = 0.6;    // s: a longer gap in the IMU cannot be bridged and restarts the odometry
+  double gyro_range = 17.45;   // rad/s: an axis that reads as much is saturated
+  double accel_range = 156;    // m/s^2: likewise
+  bool fusion_hint = false;    // the scale of the fused trajectory is taken back
+  double hint_distance = 150;  // m, over which it is compared
 };
 
 struct VioSetup {

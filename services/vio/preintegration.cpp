@@ -1,10 +1,22 @@
 #include "services/vio/preintegration.h"
 
+#include <algorithm>
+
 #include <Eigen/Cholesky>
 
 #include "common/math/so3.h"
 
 namespace orthonav::vio {
+namespace {
+
+// What a rate and a specific force may be off by where samples are missing (the step is longer than kGap) or saturated,
+// 1 sigma, and for how long they stay so.
+constexpr double kGap = 0.03;                                   // s
+constexpr double kMissingRate = 0.5, kMissingForce = 3.0;       // rad/s, m/s^2
+constexpr double kSaturatedRate = 3.0, kSaturatedForce = 30.0;  // rad/s, m/s^2
+constexpr double kPersistence = 0.1;                            // s
+
+}  // namespace
 
 Preintegration::Preintegration(const Eigen::Vector3d& accel_bias, const Eigen::Vector3d& gyro_bias,
                                const ImuNoise& noise)
@@ -69,12 +81,20 @@ void Preintegration::step(const ImuSample& from, const ImuSample& to) {
   F.block<3, 3>(6, 12) = v_bg;
   jacobian_ = F * jacobian_;
   covariance_ = F * covariance_ * F.transpose();
-  const double va = noise_.accel_noise * noise_.accel_noise * dt;
+  double va = noise_.accel_noise * noise_.accel_noise * dt, vg = noise_.gyro_noise * noise_.gyro_noise * dt;
+  const bool saturated = from.saturated || to.saturated;
+  if (saturated || dt > kGap) {
+    const double time = dt * std::max(dt, kPersistence);
+    const double rate_sigma = saturated ? kSaturatedRate : kMissingRate;
+    const double force_sigma = saturated ? kSaturatedForce : kMissingForce;
+    vg += rate_sigma * rate_sigma * time;
+    va += force_sigma * force_sigma * time;
+  }
   for (int i = 0; i < 3; ++i) {
     covariance_(i, i) += 0.25 * va * dt * dt;
     covariance_(i, 6 + i) += 0.5 * va * dt;
     covariance_(6 + i, i) += 0.5 * va * dt;
-    covariance_(3 + i, 3 + i) += noise_.gyro_noise * noise_.gyro_noise * dt;
+    covariance_(3 + i, 3 + i) += vg;
     covariance_(6 + i, 6 + i) += va;
     covariance_(9 + i, 9 + i) += noise_.accel_walk * noise_.accel_walk * dt;
     covariance_(12 + i, 12 + i) += noise_.gyro_walk * noise_.gyro_walk * dt;

@@ -5,7 +5,8 @@
 // kept to first order. With b the accelerometer and w the gyroscope bias at the start, T the duration, g gravity:
 //   p_j = p_i + v_i T + g T^2 / 2 + R_i alpha,   v_j = v_i + g T + R_i beta,   R_j = R_i gamma.
 // Error state, in this order: alpha (0), rotation vector at the right of gamma (3), beta (6), accelerometer bias (9),
-// gyroscope bias (12). Not thread-safe.
+// gyroscope bias (12). Where samples are missing or saturated the covariance grows by what may have happened meanwhile,
+// so that the other measurements decide. Not thread-safe.
 #pragma once
 
 #include <cstdint>
@@ -20,6 +21,7 @@ struct ImuSample {
   int64_t utime = 0;                                // microseconds since the Unix epoch
   Eigen::Vector3d gyro = Eigen::Vector3d::Zero();   // rad/s in B
   Eigen::Vector3d accel = Eigen::Vector3d::Zero();  // m/s^2 in B, specific force
+  bool saturated = false;                           // at the end of the sensor's range: the truth may be beyond
 };
 
 struct ImuNoise {

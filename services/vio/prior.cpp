@@ -8,6 +8,7 @@
 #include <Eigen/Eigenvalues>
 
 #include "common/math/so3.h"
+#include "services/vio/aid_factors.h"
 #include "services/vio/imu_factor.h"
 #include "services/vio/projection_factor.h"
 
@@ -16,20 +17,87 @@ namespace {
 
 // Difference of a block's value from its first estimate, in tangent space.
 void block_difference(const Prior::Block& block, const double* value, Eigen::Ref<Eigen::VectorXd> out) {
-  const StateValues& at = block.frame->first_estimate;
-  if (block.speed_bias) {
-    for (int k = 0; k < 9; ++k) out[k] = value[k] - at.speed_bias[static_cast<size_t>(k)];
+  const double* at = block.first_estimate();
+  if (!block.pose()) {
+    for (int k = 0; k < block.size(); ++k) out[k] = value[k] - at[k];
     return;
   }
-  out.head<3>() = Eigen::Map<const Eigen::Vector3d>(value) - at.p();
-  out.tail<3>() = so3_log(at.q().conjugate() * Eigen::Map<const Eigen::Quaterniond>(value + 3));
-}
-
-const double* block_value(const Prior::Block& block) {
-  return block.speed_bias ? block.frame->state.speed_bias.data() : block.frame->state.pose.data();
+  out.head<3>() = Eigen::Map<const Eigen::Vector3d>(value) - Eigen::Map<const Eigen::Vector3d>(at);
+  out.tail<3>() = so3_log(Eigen::Map<const Eigen::Quaterniond>(at + 3).conjugate() *
+                          Eigen::Map<const Eigen::Quaterniond>(value + 3));
 }
 
 }  // namespace
+
+int Prior::Block::size() const {
+  switch (kind) {
+    case Kind::kPose:
+    case Kind::kCamera:
+      return 6;
+    case Kind::kSpeedBias:
+      return 9;
+    case Kind::kTimeOffset:
+    case Kind::kHeightBias:
+      return 1;
+  }
+  return 0;
+}
+
+int Prior::Block::ambient_size() const {
+  return pose() ? 7 : size();
+}
+
+double* Prior::Block::value() const {
+  switch (kind) {
+    case Kind::kPose:
+      return frame->state.pose.data();
+    case Kind::kSpeedBias:
+      return frame->state.speed_bias.data();
+    case Kind::kCamera:
+      return shared->state.camera.data();
+    case Kind::kTimeOffset:
+      return shared->state.time_offset.data();
+    case Kind::kHeightBias:
+      return shared->state.height_bias.data();
+  }
+  return nullptr;
+}
+
+double* Prior::Block::first_estimate() const {
+  switch (kind) {
+    case Kind::kPose:
+      return frame->first_estimate.pose.data();
+    case Kind::kSpeedBias:
+      return frame->first_estimate.speed_bias.data();
+    case Kind::kCamera:
+      return shared->first_estimate.camera.data();
+    case Kind::kTimeOffset:
+      return shared->first_estimate.time_offset.data();
+    case Kind::kHeightBias:
+      return shared->first_estimate.height_bias.data();
+  }
+  return nullptr;
+}
+
+bool& Prior::Block::fixed() const {
+  switch (kind) {
+    case Kind::kSpeedBias:
+      return frame->speed_bias_fixed;
+    case Kind::kCamera:
+      return shared->camera_fixed;
+    case Kind::kTimeOffset:
+      return shared->time_fixed;
+    case Kind::kHeightBias:
+      return shared->height_fixed;
+    case Kind::kPose:
+      break;
+  }
+  return frame->pose_fixed;
+}
+
+bool Prior::holds(const Frame& frame) const {
+  return std::any_of(blocks.begin(), blocks.end(), [&](const Block& block) { return block.frame == &frame; });
+}
 
 double huber_weight(double s, double width) {
   return s <= width * width ? 1.0 : width / std::sqrt(s);
@@ -39,7 +107,7 @@ Eigen::VectorXd Prior::residual() const {
   Eigen::VectorXd difference(J.cols());
   int column = 0;
   for (const Block& block : blocks) {
-    block_difference(block, block_value(block), difference.segment(column, block.size()));
+    block_difference(block, block.value(), difference.segment(column, block.size()));
     column += block.size();
   }
   return r0 + J * difference;
@@ -50,7 +118,7 @@ Prior make_initial_prior(Frame& frame, const InitialUncertainty& sigma, const Ei
   frame.first_estimate = frame.state;
   frame.pose_fixed = frame.speed_bias_fixed = true;
   Prior prior;
-  prior.blocks = {{&frame, false}, {&frame, true}};
+  prior.blocks = {{Prior::Block::Kind::kPose, &frame, nullptr}, {Prior::Block::Kind::kSpeedBias, &frame, nullptr}};
   prior.J = Eigen::MatrixXd::Zero(10, 15);
   prior.r0 = Eigen::VectorXd::Zero(10);
   prior.J.block<3, 3>(0, 0).diagonal().setConstant(1.0 / sigma.position);
@@ -63,9 +131,31 @@ Prior make_initial_prior(Frame& frame, const InitialUncertainty& sigma, const Ei
   return prior;
 }
 
+void add_shared_prior(Prior& prior, Shared& shared, const SharedUncertainty& sigma) {
+  using Kind = Prior::Block::Kind;
+  const auto add = [&](Kind kind, const Eigen::VectorXd& sigmas) {
+    const Prior::Block block{kind, nullptr, &shared};
+    std::copy_n(block.value(), block.ambient_size(), block.first_estimate());
+    block.fixed() = true;
+    prior.blocks.push_back(block);
+    const Eigen::Index rows = prior.J.rows(), columns = prior.J.cols(), n = sigmas.size();
+    prior.J.conservativeResizeLike(Eigen::MatrixXd::Zero(rows + n, columns + n));
+    prior.J.bottomRightCorner(n, n).diagonal() = sigmas.cwiseInverse();
+    prior.r0.conservativeResizeLike(Eigen::VectorXd::Zero(rows + n));
+  };
+  if (shared.camera_free && !shared.camera_fixed) {
+    Eigen::VectorXd sigmas(6);
+    sigmas << Eigen::Vector3d::Constant(sigma.camera_position), Eigen::Vector3d::Constant(sigma.camera_rotation);
+    add(Kind::kCamera, sigmas);
+  }
+  if (shared.time_free && !shared.time_fixed) add(Kind::kTimeOffset, Eigen::VectorXd::Constant(1, sigma.time_offset));
+  if (shared.height_free && !shared.height_fixed)
+    add(Kind::kHeightBias, Eigen::VectorXd::Constant(1, sigma.height_bias));
+}
+
 PriorFactor::PriorFactor(const Prior& prior) : prior_(prior) {
   set_num_residuals(static_cast<int>(prior.r0.size()));
-  for (const Prior::Block& block : prior.blocks) mutable_parameter_block_sizes()->push_back(block.speed_bias ? 9 : 7);
+  for (const Prior::Block& block : prior.blocks) mutable_parameter_block_sizes()->push_back(block.ambient_size());
 }
 
 bool PriorFactor::Evaluate(double const* const* parameters, double* residuals, double** jacobians) const {
@@ -75,11 +165,11 @@ bool PriorFactor::Evaluate(double const* const* parameters, double* residuals, d
     const Prior::Block& block = prior_.blocks[k];
     block_difference(block, parameters[k], difference.segment(column, block.size()));
     if (jacobians && jacobians[k]) {
-      const int width = block.speed_bias ? 9 : 7;
+      const int width = block.ambient_size();
       Eigen::Map<Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>> out(jacobians[k],
                                                                                              prior_.J.rows(), width);
       out.leftCols(block.size()) = prior_.J.middleCols(column, block.size());
-      if (!block.speed_bias) out.col(6).setZero();
+      if (block.pose()) out.col(6).setZero();
     }
     column += block.size();
   }
@@ -87,8 +177,10 @@ bool PriorFactor::Evaluate(double const* const* parameters, double* residuals, d
   return true;
 }
 
-NormalEquations::NormalEquations(std::vector<Frame*> frames) : frames_(std::move(frames)) {
-  const auto size = static_cast<Eigen::Index>(15 * frames_.size());
+NormalEquations::NormalEquations(std::vector<Frame*> frames, Shared& shared)
+    : frames_(std::move(frames)), shared_(shared), extrinsics_(shared.state.extrinsics()) {
+  const auto size = static_cast<Eigen::Index>(15 * frames_.size()) + (shared.camera_free ? 6 : 0) +
+                    (shared.time_free ? 1 : 0) + (shared.height_free ? 1 : 0);
   H_ = Eigen::MatrixXd::Zero(size, size);
   b_ = Eigen::VectorXd::Zero(size);
 }
@@ -105,6 +197,23 @@ int NormalEquations::pose_offset(const Frame& frame) const {
 
 int NormalEquations::speed_bias_offset(const Frame& frame) const {
   return static_cast<int>(6 * frames_.size() + 9 * index_of(frame));
+}
+
+int NormalEquations::offset(const Prior::Block& block) const {
+  const int shared = static_cast<int>(15 * frames_.size());
+  switch (block.kind) {
+    case Prior::Block::Kind::kPose:
+      return pose_offset(*block.frame);
+    case Prior::Block::Kind::kSpeedBias:
+      return speed_bias_offset(*block.frame);
+    case Prior::Block::Kind::kCamera:
+      return shared;
+    case Prior::Block::Kind::kTimeOffset:
+      return shared + (shared_.camera_free ? 6 : 0);
+    case Prior::Block::Kind::kHeightBias:
+      return shared + (shared_.camera_free ? 6 : 0) + (shared_.time_free ? 1 : 0);
+  }
+  return 0;
 }
 
 void NormalEquations::add_imu(const Frame& i, const Frame& j, double gravity) {
@@ -128,46 +237,97 @@ void NormalEquations::add_imu(const Frame& i, const Frame& j, double gravity) {
   }
 }
 
-void NormalEquations::add_landmark(const Landmark& landmark, const Extrinsics& extrinsics, double weight,
-                                   double robust_width) {
+void NormalEquations::add_landmark(const Landmark& landmark, double weight, double robust_width) {
+  using Kind = Prior::Block::Kind;
   const Observation& anchor = landmark.anchor();
   const Frame& frame_i = *anchor.frame;
   const int at_i = pose_offset(frame_i);
   const double* lin_i = frame_i.pose_fixed ? frame_i.first_estimate.pose.data() : frame_i.state.pose.data();
-  std::vector<int> at{at_i};
-  std::vector<Eigen::Matrix<double, 6, 1>> W{Eigen::Matrix<double, 6, 1>::Zero()};
+  const double time_offset = shared_.state.time_offset[0];
+  // The landmark's row of the system: what its depth has in common with every other block.
+  struct Part {
+    int at, size;
+    Eigen::Matrix<double, 6, 1> w = Eigen::Matrix<double, 6, 1>::Zero();
+  };
+  std::vector<Part> parts{{at_i, 6}};
+  const auto shared_part = [&](Kind kind, bool free) {
+    if (!free) return size_t{0};
+    const Prior::Block block{kind, nullptr, &shared_};
+    parts.push_back({offset(block), block.size()});
+    return parts.size() - 1;
+  };
+  const size_t camera = shared_part(Kind::kCamera, shared_.camera_free);
+  const size_t time = shared_part(Kind::kTimeOffset, shared_.time_free);
   double h = 0, b = 0;
+  // One row block of the landmark's residuals: its weight, its residual, and the Jacobians of parts of the system.
+  const auto add_rows = [&](double w, const auto& r, const auto& J_depth, const auto&... terms) {
+    const auto each = [&](auto& part, const auto& J) {
+      part.w.head(J.cols()) += w * J.transpose().lazyProduct(J_depth);
+      b_.segment(part.at, J.cols()) -= w * J.transpose().lazyProduct(r);
+      const auto with = [&](const auto& other, const auto& K) {
+        H_.block(part.at, other.at, J.cols(), K.cols()) += w * J.transpose().lazyProduct(K);
+      };
+      (with(parts[terms.first], terms.second), ...);
+    };
+    (each(parts[terms.first], terms.second), ...);
+    h += w * J_depth.squaredNorm();
+    b -= w * J_depth.dot(r);
+  };
   for (size_t k = 1; k < landmark.observations.size(); ++k) {
     const Observation& observation = landmark.observations[k];
     const Frame& frame_j = *observation.frame;
+    const Bearings bearings = bearings_of(anchor, observation);
     Eigen::Vector2d r;
     ProjectionFactor::Jacobians J;
     const double* lin_j = frame_j.pose_fixed ? frame_j.first_estimate.pose.data() : frame_j.state.pose.data();
-    if (!ProjectionFactor::evaluate(anchor.ray, observation.ray, extrinsics, weight, frame_i.state.pose.data(),
+    if (!ProjectionFactor::evaluate(bearings, time_offset, extrinsics_, weight, frame_i.state.pose.data(),
                                     frame_j.state.pose.data(), landmark.inverse_depth, &r, nullptr) ||
-        !ProjectionFactor::evaluate(anchor.ray, observation.ray, extrinsics, weight, lin_i, lin_j,
-                                    landmark.inverse_depth, nullptr, &J)) {
+        !ProjectionFactor::evaluate(bearings, time_offset, extrinsics_, weight, lin_i, lin_j, landmark.inverse_depth,
+                                    nullptr, &J)) {
       continue;
     }
     const double w = huber_weight(r.squaredNorm(), robust_width);
-    const int at_j = pose_offset(frame_j);
-    H_.block<6, 6>(at_i, at_i) += w * J.pose_i.transpose() * J.pose_i;
-    H_.block<6, 6>(at_j, at_j) += w * J.pose_j.transpose() * J.pose_j;
-    const Eigen::Matrix<double, 6, 6> cross = w * J.pose_i.transpose() * J.pose_j;
-    H_.block<6, 6>(at_i, at_j) += cross;
-    H_.block<6, 6>(at_j, at_i) += cross.transpose();
-    b_.segment<6>(at_i) -= w * J.pose_i.transpose() * r;
-    b_.segment<6>(at_j) -= w * J.pose_j.transpose() * r;
-    W[0] += w * J.pose_i.transpose() * J.inverse_depth;
-    at.push_back(at_j);
-    W.emplace_back(w * J.pose_j.transpose() * J.inverse_depth);
-    h += w * J.inverse_depth.squaredNorm();
-    b -= w * J.inverse_depth.dot(r);
+    parts.push_back({pose_offset(frame_j), 6});
+    const size_t j = parts.size() - 1;
+    using Two6 = Eigen::Matrix<double, 2, 6>;
+    const std::pair<size_t, const Two6&> term_i(0, J.pose_i), term_j(j, J.pose_j), term_camera(camera, J.camera);
+    const std::pair<size_t, const Eigen::Vector2d&> term_time(time, J.time_offset);
+    if (camera && time) {
+      add_rows(w, r, J.inverse_depth, term_i, term_j, term_camera, term_time);
+    } else if (camera) {
+      add_rows(w, r, J.inverse_depth, term_i, term_j, term_camera);
+    } else if (time) {
+      add_rows(w, r, J.inverse_depth, term_i, term_j, term_time);
+    } else {
+      add_rows(w, r, J.inverse_depth, term_i, term_j);
+    }
+  }
+  if (shared_.height_free) {
+    size_t bias = 0;
+    for (const Frame* frame_j : frames_) {
+      if (!frame_j->height || frame_j->height_landmark != landmark.id || frame_j == &frame_i) continue;
+      if (bias == 0) bias = shared_part(Kind::kHeightBias, true);
+      HeightFactor::Jacobians J;
+      using One = Eigen::Matrix<double, 1, 1>;
+      const double* pose_j = frame_j->state.pose.data();
+      const One r(HeightFactor::evaluate(*frame_j->height, anchor.ray, extrinsics_, frame_i.state.pose.data(), pose_j,
+                                         landmark.inverse_depth, shared_.state.height_bias[0], nullptr));
+      HeightFactor::evaluate(*frame_j->height, anchor.ray, extrinsics_, lin_i,
+                             frame_j->pose_fixed ? frame_j->first_estimate.pose.data() : pose_j, landmark.inverse_depth,
+                             shared_.state.height_bias[0], &J);
+      parts.push_back({pose_offset(*frame_j), 6});
+      using Row6 = Eigen::Matrix<double, 1, 6>;
+      const One J_depth(J.inverse_depth), J_bias(J.bias);
+      add_rows(1.0, r, J_depth, std::pair<size_t, const Row6&>(0, J.pose_i),
+               std::pair<size_t, const Row6&>(parts.size() - 1, J.pose_j), std::pair<size_t, const One&>(bias, J_bias));
+    }
   }
   if (h <= 0) return;
-  for (size_t k = 0; k < at.size(); ++k) {
-    b_.segment<6>(at[k]) -= W[k] * (b / h);
-    for (size_t l = 0; l < at.size(); ++l) H_.block<6, 6>(at[k], at[l]) -= W[k] * (W[l] / h).transpose();
+  for (const Part& a : parts) {
+    b_.segment(a.at, a.size) -= a.w.head(a.size) * (b / h);
+    for (const Part& c : parts) {
+      H_.block(a.at, c.at, a.size, c.size) -= a.w.head(a.size) * (c.w.head(c.size) / h).transpose();
+    }
   }
 }
 
@@ -177,15 +337,37 @@ void NormalEquations::add_prior(const Prior& prior) {
   const Eigen::VectorXd Jtr = prior.J.transpose() * prior.residual();
   int row = 0;
   for (const Prior::Block& a : prior.blocks) {
-    const int to = a.speed_bias ? speed_bias_offset(*a.frame) : pose_offset(*a.frame);
+    const int to = offset(a);
     b_.segment(to, a.size()) -= Jtr.segment(row, a.size());
     int column = 0;
     for (const Prior::Block& c : prior.blocks) {
-      const int right = c.speed_bias ? speed_bias_offset(*c.frame) : pose_offset(*c.frame);
-      H_.block(to, right, a.size(), c.size()) += JtJ.block(row, column, a.size(), c.size());
+      H_.block(to, offset(c), a.size(), c.size()) += JtJ.block(row, column, a.size(), c.size());
       column += c.size();
     }
     row += a.size();
+  }
+}
+
+void NormalEquations::add_cost(const ceres::CostFunction& cost, const std::vector<Prior::Block>& blocks) {
+  using RowMajor = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>;
+  const int rows = cost.num_residuals();
+  Eigen::VectorXd r(rows);
+  std::vector<RowMajor> J;
+  std::vector<const double*> values;
+  std::vector<double*> jacobians;
+  for (const Prior::Block& block : blocks) J.emplace_back(rows, block.ambient_size());
+  for (size_t k = 0; k < blocks.size(); ++k) {
+    values.push_back(blocks[k].value());
+    jacobians.push_back(J[k].data());
+  }
+  if (!cost.Evaluate(values.data(), r.data(), jacobians.data())) return;
+  for (size_t a = 0; a < blocks.size(); ++a) {
+    const auto J_a = J[a].leftCols(blocks[a].size());
+    b_.segment(offset(blocks[a]), blocks[a].size()) -= J_a.transpose() * r;
+    for (size_t c = 0; c < blocks.size(); ++c) {
+      H_.block(offset(blocks[a]), offset(blocks[c]), blocks[a].size(), blocks[c].size()) +=
+          J_a.transpose() * J[c].leftCols(blocks[c].size());
+    }
   }
 }
 
@@ -195,37 +377,34 @@ Prior NormalEquations::marginalise(const Frame& frame) const {
   for (int k = 0; k < 6; ++k) m.push_back(m_pose + k);
   for (int k = 0; k < 9; ++k) m.push_back(m_speed + k);
 
+  // All blocks but those of the frame that leaves.
+  using Kind = Prior::Block::Kind;
+  std::vector<Prior::Block> blocks;
+  for (const Kind kind : {Kind::kPose, Kind::kSpeedBias}) {
+    for (Frame* other : frames_) blocks.push_back({kind, other, nullptr});
+  }
+  if (shared_.camera_free) blocks.push_back({Kind::kCamera, nullptr, &shared_});
+  if (shared_.time_free) blocks.push_back({Kind::kTimeOffset, nullptr, &shared_});
+  if (shared_.height_free) blocks.push_back({Kind::kHeightBias, nullptr, &shared_});
+
   // The gradient at the first estimates, from that at the current states.
   Eigen::VectorXd difference = Eigen::VectorXd::Zero(b_.size());
-  for (Frame* other : frames_) {
-    if (other->pose_fixed) {
-      block_difference({other, false}, other->state.pose.data(), difference.segment(pose_offset(*other), 6));
-    }
-    if (other->speed_bias_fixed) {
-      block_difference({other, true}, other->state.speed_bias.data(), difference.segment(speed_bias_offset(*other), 9));
-    }
+  for (const Prior::Block& block : blocks) {
+    if (block.fixed()) block_difference(block, block.value(), difference.segment(offset(block), block.size()));
   }
   const Eigen::VectorXd b = b_ + H_ * difference;
 
   Prior prior;
   std::vector<int> r;
-  for (const bool speed_bias : {false, true}) {
-    for (Frame* other : frames_) {
-      if (other == &frame) continue;
-      const int offset = speed_bias ? speed_bias_offset(*other) : pose_offset(*other);
-      const int size = speed_bias ? 9 : 6;
-      if (H_.diagonal().segment(offset, size).maxCoeff() <= 0) continue;
-      prior.blocks.push_back({other, speed_bias});
-      for (int k = 0; k < size; ++k) r.push_back(offset + k);
-      bool& fixed = speed_bias ? other->speed_bias_fixed : other->pose_fixed;
-      if (!fixed) {
-        fixed = true;
-        if (speed_bias) {
-          other->first_estimate.speed_bias = other->state.speed_bias;
-        } else {
-          other->first_estimate.pose = other->state.pose;
-        }
-      }
+  for (const Prior::Block& block : blocks) {
+    if (block.frame == &frame) continue;
+    const int at = offset(block);
+    if (H_.diagonal().segment(at, block.size()).maxCoeff() <= 0) continue;
+    prior.blocks.push_back(block);
+    for (int k = 0; k < block.size(); ++k) r.push_back(at + k);
+    if (!block.fixed()) {
+      block.fixed() = true;
+      std::copy_n(block.value(), block.ambient_size(), block.first_estimate());
     }
   }
   // Unit diagonals: the blocks' units differ by many orders of magnitude.
@@ -263,19 +442,20 @@ Prior NormalEquations::marginalise(const Frame& frame) const {
 }
 
 Eigen::MatrixXd NormalEquations::pose_covariance(const std::vector<int>& offsets) const {
+  std::vector<int> rows;
+  for (const int offset : offsets) {
+    for (int k = 0; k < 6; ++k) rows.push_back(offset + k);
+  }
+  return covariance(rows);
+}
+
+Eigen::MatrixXd NormalEquations::covariance(const std::vector<int>& rows) const {
   const Eigen::VectorXd scale = H_.diagonal().cwiseMax(1e-12).cwiseSqrt().cwiseInverse();
   const Eigen::MatrixXd scaled = scale.asDiagonal() * H_ * scale.asDiagonal();
   const Eigen::LLT<Eigen::MatrixXd> llt(scaled);
   if (llt.info() != Eigen::Success) return {};
-  const auto columns = static_cast<Eigen::Index>(6 * offsets.size());
-  Eigen::MatrixXd rhs = Eigen::MatrixXd::Zero(H_.rows(), columns);
-  std::vector<int> rows;
-  for (const int offset : offsets) {
-    for (int k = 0; k < 6; ++k) {
-      rhs(offset + k, static_cast<Eigen::Index>(rows.size())) = scale[offset + k];
-      rows.push_back(offset + k);
-    }
-  }
+  Eigen::MatrixXd rhs = Eigen::MatrixXd::Zero(H_.rows(), static_cast<Eigen::Index>(rows.size()));
+  for (size_t k = 0; k < rows.size(); ++k) rhs(rows[k], static_cast<Eigen::Index>(k)) = scale[rows[k]];
   const Eigen::MatrixXd solution = scale.asDiagonal() * llt.solve(rhs);
   return solution(rows, Eigen::all);
 }

@@ -15,21 +15,29 @@
 
 namespace orthonav::vio {
 
-// A quadratic cost |r0 + J (x - x0)|^2 / 2 on some of the window's blocks; x0 are the frames' first estimates.
+// A quadratic cost |r0 + J (x - x0)|^2 / 2 on some of the window's blocks; x0 are their first estimates.
 struct Prior {
   struct Block {
-    Frame* frame = nullptr;
-    bool speed_bias = false;  // else the pose
+    enum class Kind { kPose, kSpeedBias, kCamera, kTimeOffset, kHeightBias };
+    Kind kind = Kind::kPose;
+    Frame* frame = nullptr;    // of a pose or speed and bias
+    Shared* shared = nullptr;  // of the others
 
-    int size() const { return speed_bias ? 9 : 6; }
+    bool pose() const { return kind == Kind::kPose || kind == Kind::kCamera; }
+    int size() const;          // of its tangent space
+    int ambient_size() const;  // of its parameter block
+    double* value() const;
+    double* first_estimate() const;
+    bool& fixed() const;  // whether its linearisation point is its first estimate
   };
   std::vector<Block> blocks;
   Eigen::MatrixXd J;  // columns in the order of the blocks, in tangent space
   Eigen::VectorXd r0;
 
   bool empty() const { return blocks.empty(); }
-  // Residual at the frames' current states.
+  // Residual at the blocks' current values.
   Eigen::VectorXd residual() const;
+  bool holds(const Frame& frame) const;
 };
 
 // Standard deviations of what is known of a session's first frame.
@@ -45,6 +53,18 @@ struct InitialUncertainty {
 Prior make_initial_prior(Frame& frame, const InitialUncertainty& sigma, const Eigen::Vector3d& accel_bias,
                          const Eigen::Vector3d& gyro_bias);
 
+// Standard deviations of what is known of the shared parameters beforehand.
+struct SharedUncertainty {
+  double camera_rotation = 0.02;  // rad
+  double camera_position = 0.02;  // m
+  double time_offset = 0.005;     // s
+  double height_bias = 2;         // m
+};
+
+// Holds those of the shared parameters near their current values that are free and not in a prior yet. Fixes their
+// first estimates.
+void add_shared_prior(Prior& prior, Shared& shared, const SharedUncertainty& sigma);
+
 // The prior as a cost of a Ceres problem, of Prior::blocks in their order. The prior outlives it.
 class PriorFactor final : public ceres::CostFunction {
  public:
@@ -57,13 +77,17 @@ class PriorFactor final : public ceres::CostFunction {
 
 class NormalEquations {
  public:
-  // Unknowns: the pose of each frame (6), then speed and biases of each frame (9), in the order of `frames`.
-  explicit NormalEquations(std::vector<Frame*> frames);
+  // Unknowns: the pose of each frame (6), then speed and biases of each frame (9), in the order of `frames`, then those
+  // of the shared parameters that are free.
+  NormalEquations(std::vector<Frame*> frames, Shared& shared);
 
   void add_imu(const Frame& i, const Frame& j, double gravity);  // of j.imu
-  // Adds a landmark's projections under a Huber loss of `robust_width` and eliminates it.
-  void add_landmark(const Landmark& landmark, const Extrinsics& extrinsics, double weight, double robust_width);
+  // Adds a landmark's projections under a Huber loss of `robust_width`, and the heights that were measured above it,
+  // and eliminates it.
+  void add_landmark(const Landmark& landmark, double weight, double robust_width);
   void add_prior(const Prior& prior);
+  // Adds a cost without a loss, at the current values of its blocks.
+  void add_cost(const ceres::CostFunction& cost, const std::vector<Prior::Block>& blocks);
 
   const Eigen::MatrixXd& H() const { return H_; }  // upper and lower half
   const Eigen::VectorXd& b() const { return b_; }  // H dx = b
@@ -76,11 +100,16 @@ class NormalEquations {
 
   // Covariance of the unknowns at `offsets` (each begins six of a pose), stacked; empty when H is singular.
   Eigen::MatrixXd pose_covariance(const std::vector<int>& offsets) const;
+  // Covariance of the unknowns `rows`, in their order; empty when H is singular.
+  Eigen::MatrixXd covariance(const std::vector<int>& rows) const;
+  int offset(const Prior::Block& block) const;
 
  private:
   size_t index_of(const Frame& frame) const;
 
   std::vector<Frame*> frames_;
+  Shared& shared_;
+  Extrinsics extrinsics_;
   Eigen::MatrixXd H_;
   Eigen::VectorXd b_;
 };

@@ -1,5 +1,7 @@
 #include "services/vio/projection_factor.h"
 
+#include <algorithm>
+
 #include "common/math/so3.h"
 
 namespace orthonav::vio {
@@ -31,15 +33,22 @@ bool PoseManifold::MinusJacobian(const double*, double* jacobian) const {
   return true;
 }
 
-ProjectionFactor::ProjectionFactor(const Eigen::Vector3d& ray_i, const Eigen::Vector3d& ray_j,
-                                   const Extrinsics& extrinsics, double weight, const Frame& i, const Frame& j)
-    : ray_i_(ray_i), ray_j_(ray_j), extrinsics_(extrinsics), weight_(weight), i_(i), j_(j) {}
+Bearings bearings_of(const Observation& anchor, const Observation& other) {
+  return {anchor.ray, other.ray, anchor.rate, other.rate, anchor.frame->time_shift, other.frame->time_shift};
+}
 
-bool ProjectionFactor::evaluate(const Eigen::Vector3d& ray_i, const Eigen::Vector3d& ray_j,
-                                const Extrinsics& extrinsics, double weight, const double* pose_i, const double* pose_j,
-                                double inverse_depth, Eigen::Vector2d* residual, Jacobians* jacobians) {
+ProjectionFactor::ProjectionFactor(const Bearings& bearings, const Shared& shared, const Extrinsics& extrinsics,
+                                   double weight, const Frame& i, const Frame& j)
+    : bearings_(bearings), shared_(shared), extrinsics_(extrinsics), weight_(weight), i_(i), j_(j) {}
+
+bool ProjectionFactor::evaluate(const Bearings& bearings, double time_offset, const Extrinsics& extrinsics,
+                                double weight, const double* pose_i, const double* pose_j, double inverse_depth,
+                                Eigen::Vector2d* residual, Jacobians* jacobians) {
   const Eigen::Map<const Eigen::Vector3d> p_i(pose_i), p_j(pose_j);
   const Eigen::Map<const Eigen::Quaterniond> q_i(pose_i + 3), q_j(pose_j + 3);
+  Eigen::Vector3d ray_i = bearings.ray_i;
+  ray_i.head<2>() -= bearings.rate_i * (time_offset - bearings.shift_i);
+  const Eigen::Vector2d seen = bearings.ray_j.head<2>() - bearings.rate_j * (time_offset - bearings.shift_j);
   // Everything times the inverse depth, which keeps points at infinity finite.
   const Eigen::Matrix3d R_i = q_i.toRotationMatrix();
   const Eigen::Matrix3d R_C_W = (q_j.toRotationMatrix() * extrinsics.R_B_C).transpose();
@@ -51,17 +60,22 @@ bool ProjectionFactor::evaluate(const Eigen::Vector3d& ray_i, const Eigen::Vecto
   if (point_C.z() < 1e-3) return false;
   const double iz = 1.0 / point_C.z();
   const double x = point_C.x() * iz, y = point_C.y() * iz;
-  if (residual) *residual = weight * Eigen::Vector2d(x - ray_j.x(), y - ray_j.y());
+  if (residual) *residual = weight * (Eigen::Vector2d(x, y) - seen);
   if (!jacobians) return true;
   Eigen::Matrix<double, 2, 3> reduce;
   reduce << iz, 0, -x * iz, 0, iz, -y * iz;
   reduce *= weight;
   const Eigen::Matrix<double, 2, 3> d_world = reduce * R_C_W;
+  const Eigen::Matrix<double, 2, 3> d_ray = d_world * R_i * extrinsics.R_B_C;
+  const Eigen::Matrix<double, 2, 3> d_body = reduce * extrinsics.R_B_C.transpose();
   jacobians->pose_i.leftCols<3>() = inverse_depth * d_world;
   jacobians->pose_i.rightCols<3>() = -d_world * R_i * skew(point_Bi);
   jacobians->pose_j.leftCols<3>() = -inverse_depth * d_world;
-  jacobians->pose_j.rightCols<3>() = reduce * extrinsics.R_B_C.transpose() * skew(point_Bj);
+  jacobians->pose_j.rightCols<3>() = d_body * skew(point_Bj);
+  jacobians->camera.leftCols<3>() = inverse_depth * (d_world * R_i - d_body);
+  jacobians->camera.rightCols<3>() = reduce * skew(point_C) - d_ray * skew(ray_i);
   jacobians->inverse_depth = reduce * (R_C_W * step - extrinsics.R_B_C.transpose() * extrinsics.p_B_C);
+  jacobians->time_offset = weight * bearings.rate_j - d_ray.leftCols<2>() * bearings.rate_i;
   return true;
 }
 
@@ -69,8 +83,15 @@ bool ProjectionFactor::Evaluate(double const* const* parameters, double* residua
   Eigen::Vector2d r;
   Jacobians J;
   const bool fixed = i_.pose_fixed || j_.pose_fixed;
-  const double inverse_depth = *parameters[2];
-  if (!evaluate(ray_i_, ray_j_, extrinsics_, weight_, parameters[0], parameters[1], inverse_depth, &r,
+  const double inverse_depth = *parameters[2], time_offset = *parameters[4];
+  Extrinsics moved;
+  if (shared_.camera_free) {
+    SharedValues values;
+    std::copy_n(parameters[3], 7, values.camera.begin());
+    moved = values.extrinsics();
+  }
+  const Extrinsics& extrinsics = shared_.camera_free ? moved : extrinsics_;
+  if (!evaluate(bearings_, time_offset, extrinsics, weight_, parameters[0], parameters[1], inverse_depth, &r,
                 jacobians && !fixed ? &J : nullptr)) {
     return false;
   }
@@ -79,20 +100,20 @@ bool ProjectionFactor::Evaluate(double const* const* parameters, double* residua
   if (fixed) {
     const double* at_i = i_.pose_fixed ? i_.first_estimate.pose.data() : parameters[0];
     const double* at_j = j_.pose_fixed ? j_.first_estimate.pose.data() : parameters[1];
-    if (!evaluate(ray_i_, ray_j_, extrinsics_, weight_, at_i, at_j, inverse_depth, nullptr, &J)) return false;
+    if (!evaluate(bearings_, time_offset, extrinsics, weight_, at_i, at_j, inverse_depth, nullptr, &J)) return false;
   }
   using PoseJacobian = Eigen::Matrix<double, 2, 7, Eigen::RowMajor>;
-  if (jacobians[0]) {
-    Eigen::Map<PoseJacobian> out(jacobians[0]);
-    out.leftCols<6>() = J.pose_i;
+  const auto put_pose = [&](int k, const Eigen::Matrix<double, 2, 6>& value) {
+    if (!jacobians[k]) return;
+    Eigen::Map<PoseJacobian> out(jacobians[k]);
+    out.leftCols<6>() = value;
     out.col(6).setZero();
-  }
-  if (jacobians[1]) {
-    Eigen::Map<PoseJacobian> out(jacobians[1]);
-    out.leftCols<6>() = J.pose_j;
-    out.col(6).setZero();
-  }
+  };
+  put_pose(0, J.pose_i);
+  put_pose(1, J.pose_j);
+  put_pose(3, J.camera);
   if (jacobians[2]) Eigen::Map<Eigen::Vector2d>{jacobians[2]} = J.inverse_depth;
+  if (jacobians[4]) Eigen::Map<Eigen::Vector2d>{jacobians[4]} = J.time_offset;
   return true;
 }
 

@@ -23,29 +23,42 @@ class PoseManifold final : public ceres::Manifold {
   bool MinusJacobian(const double* x, double* jacobian) const override;
 };
 
+// Two bearings of one landmark. A bearing belongs to its image's time; the frame's state belongs to image time plus the
+// time offset that its IMU samples were cut at. Where the offset is off by d, the bearing at the state's time is
+// ray - rate d.
+struct Bearings {
+  Eigen::Vector3d ray_i = Eigen::Vector3d::UnitZ(), ray_j = Eigen::Vector3d::UnitZ();  // z = 1
+  Eigen::Vector2d rate_i = Eigen::Vector2d::Zero(), rate_j = Eigen::Vector2d::Zero();  // 1/s
+  double shift_i = 0, shift_j = 0;                                                     // s, Frame::time_shift
+};
+
+Bearings bearings_of(const Observation& anchor, const Observation& other);
+
 // Residual (2): projection onto the plane z = 1 minus the observed ray, times `weight` (focal length over the standard
-// deviation of a pixel). Parameters: pose of the anchor frame (7), pose of the other frame (7), inverse depth (1).
-class ProjectionFactor final : public ceres::SizedCostFunction<2, 7, 7, 1> {
+// deviation of a pixel). Parameters: pose of the anchor frame (7), pose of the other frame (7), inverse depth (1),
+// T_B_C (7), time offset (1).
+class ProjectionFactor final : public ceres::SizedCostFunction<2, 7, 7, 1, 7, 1> {
  public:
   struct Jacobians {
-    Eigen::Matrix<double, 2, 6> pose_i, pose_j;
-    Eigen::Vector2d inverse_depth;
+    Eigen::Matrix<double, 2, 6> pose_i, pose_j, camera;
+    Eigen::Vector2d inverse_depth, time_offset;
   };
 
-  // The frames and the extrinsics outlive the factor.
-  ProjectionFactor(const Eigen::Vector3d& ray_i, const Eigen::Vector3d& ray_j, const Extrinsics& extrinsics,
-                   double weight, const Frame& i, const Frame& j);
+  // The frames and what they share outlive the factor.
+  ProjectionFactor(const Bearings& bearings, const Shared& shared, const Extrinsics& extrinsics, double weight,
+                   const Frame& i, const Frame& j);
 
   bool Evaluate(double const* const* parameters, double* residuals, double** jacobians) const override;
 
   // Weighted residual and, where not null, Jacobians; false when the point lies behind the other camera.
-  static bool evaluate(const Eigen::Vector3d& ray_i, const Eigen::Vector3d& ray_j, const Extrinsics& extrinsics,
-                       double weight, const double* pose_i, const double* pose_j, double inverse_depth,
-                       Eigen::Vector2d* residual, Jacobians* jacobians);
+  static bool evaluate(const Bearings& bearings, double time_offset, const Extrinsics& extrinsics, double weight,
+                       const double* pose_i, const double* pose_j, double inverse_depth, Eigen::Vector2d* residual,
+                       Jacobians* jacobians);
 
  private:
-  Eigen::Vector3d ray_i_, ray_j_;
-  const Extrinsics& extrinsics_;
+  Bearings bearings_;
+  const Shared& shared_;
+  const Extrinsics& extrinsics_;  // of shared_, while the camera's pose is frozen
   double weight_;
   const Frame& i_;
   const Frame& j_;

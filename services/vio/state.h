@@ -7,11 +7,13 @@
 #include <array>
 #include <cstdint>
 #include <memory>
+#include <optional>
 #include <vector>
 
 #include <Eigen/Core>
 #include <Eigen/Geometry>
 
+#include "common/camera/camera_model.h"
 #include "services/vio/preintegration.h"
 
 namespace orthonav::vio {
@@ -33,13 +35,49 @@ struct StateValues {
   Eigen::Map<const Eigen::Vector3d> bg() const { return Eigen::Map<const Eigen::Vector3d>(speed_bias.data() + 6); }
 };
 
+// What all frames share. Frozen parts keep the value they were configured with.
+struct SharedValues {
+  std::array<double, 7> camera{0, 0, 0, 0, 0, 0, 1};  // T_B_C: p_B_C (m), q_B_C as x y z w
+  std::array<double, 1> time_offset{};                // s: IMU time = image time + this
+  std::array<double, 1> height_bias{};                // m: measured height = true height + this
+
+  void set(const Extrinsics& extrinsics) {
+    Eigen::Map<Eigen::Vector3d>(camera.data()) = extrinsics.p_B_C;
+    Eigen::Map<Eigen::Quaterniond>(camera.data() + 3) = Eigen::Quaterniond(extrinsics.R_B_C).normalized();
+  }
+  Extrinsics extrinsics() const {
+    Extrinsics result;
+    result.p_B_C = Eigen::Map<const Eigen::Vector3d>(camera.data());
+    result.R_B_C = Eigen::Map<const Eigen::Quaterniond>(camera.data() + 3).toRotationMatrix();
+    return result;
+  }
+};
+
+struct Shared {
+  SharedValues state, first_estimate;
+  bool camera_free = false, time_free = false, height_free = false;     // estimated
+  bool camera_fixed = false, time_fixed = false, height_fixed = false;  // in the prior, about first_estimate
+};
+
+// A height above ground that was measured at a frame.
+struct HeightMeasurement {
+  double height = 0;  // m
+  double stddev = 1;  // m, of what is not common to all measurements
+};
+
 // A frame of the window. Its address is stable for as long as it is in the window.
 struct Frame {
   int64_t id = 0;  // counts the frames of a session
   int64_t utime = 0;
   bool keyframe = false;
-  int keyframe_id = -1;   // -1: never published
-  StateValues published;  // of a published keyframe: what was told of it
+  int keyframe_id = -1;                     // -1: never published
+  bool stationary = false;                  // a keyframe made because of time and not of motion
+  double time_shift = 0;                    // s, time offset at which its IMU samples were cut
+  StateValues published;                    // of a published keyframe: what was told of it
+  std::optional<Eigen::Vector3d> at_start;  // m, position in W when the session started with it
+  std::optional<double> still_sigma;        // m/s: its velocity is zero to this
+  std::optional<HeightMeasurement> height;  // as measured
+  std::optional<int64_t> height_landmark;   // the landmark that stands for the ground under it
   StateValues state;
   // First-estimate linearisation points: once a block is in the marginalisation prior, every Jacobian with respect
   // to it is taken where the prior was, or the estimator would gain information it does not have, about yaw and, on
@@ -56,12 +94,14 @@ struct TrackedFeature {
   int64_t id = 0;
   Eigen::Vector2d pixel = Eigen::Vector2d::Zero();  // raw image
   Eigen::Vector3d ray = Eigen::Vector3d::UnitZ();   // undistorted bearing in C, z = 1
+  double row_delay = 0;                             // s, after the image's time, at which a rolling shutter saw it
 };
 
 struct Observation {
   Frame* frame = nullptr;
   Eigen::Vector2d pixel = Eigen::Vector2d::Zero();
-  Eigen::Vector3d ray = Eigen::Vector3d::UnitZ();
+  Eigen::Vector3d ray = Eigen::Vector3d::UnitZ();  // at the frame's time, where a shutter rolls: of the middle row
+  Eigen::Vector2d rate = Eigen::Vector2d::Zero();  // 1/s, of the ray on z = 1
 };
 
 // A feature of the window; its depth is along the ray of its first observation (the anchor).

@@ -34,17 +34,20 @@ Tracker::Tracker(const CameraModel& camera, const TrackerOptions& options) : cam
 void Tracker::reset() {
   pyramid_.clear();
   features_.clear();
+  R_since_.setIdentity();
+  passed_over_ = 0;
 }
 
 void Tracker::drop(const std::set<int64_t>& ids) {
   std::erase_if(features_, [&](const TrackedFeature& feature) { return ids.count(feature.id) > 0; });
 }
 
-cv::Mat Tracker::normalised(const cv::Mat& grey) const {
+cv::Mat Tracker::normalised(const cv::Mat& grey, double* gain_used) const {
   // Lucas-Kanade compares brightness: exposure drift is taken out by a gain and an offset for the whole image.
   cv::Scalar mean, stddev;
   cv::meanStdDev(grey, mean, stddev);
   const double gain = std::clamp(48.0 / std::max(1.0, stddev[0]), 0.5, 4.0);
+  *gain_used = gain;
   cv::Mat image;
   grey.convertTo(image, CV_8U, gain, 128.0 - gain * mean[0]);
   return image;
@@ -52,30 +55,44 @@ cv::Mat Tracker::normalised(const cv::Mat& grey) const {
 
 const std::vector<TrackedFeature>& Tracker::track(const cv::Mat& grey, const Eigen::Matrix3d& R_cur_prev,
                                                   bool rotation_trusted) {
-  const cv::Mat image = normalised(grey);
+  constexpr int kMostPassedOver = 3;
+  constexpr size_t kEnough = 20;  // features, for a share of them to mean something
+  double gain = 1;
+  const cv::Mat image = normalised(grey, &gain);
   std::vector<cv::Mat> pyramid;
   cv::buildOpticalFlowPyramid(image, pyramid, {options_.search_window, options_.search_window}, options_.pyramid_levels,
                               true);
+  R_since_ = R_cur_prev * R_since_;
   if (!pyramid_.empty() && !features_.empty()) {
-    std::vector<TrackedFeature> previous = features_;
-    follow(pyramid, R_cur_prev);
-    // follow() keeps the order, so the survivors' former rays are found by walking both.
-    size_t to = 0;
-    for (const TrackedFeature& old : previous) {
-      if (to < features_.size() && features_[to].id == old.id) previous[to++] = old;
+    std::vector<TrackedFeature> followed = follow(pyramid, R_since_);
+    if (features_.size() >= kEnough && 2 * followed.size() < features_.size()) {
+      std::vector<TrackedFeature> unguided = follow(pyramid, Eigen::Matrix3d::Identity());
+      if (unguided.size() > followed.size()) followed = std::move(unguided);
     }
-    previous.resize(to);
-    reject_outliers(previous, R_cur_prev, rotation_trusted);
+    if (features_.size() >= kEnough && 4 * followed.size() < features_.size() && passed_over_ < kMostPassedOver) {
+      ++passed_over_;
+      return none_;
+    }
+    // follow() keeps the order, so the survivors' former rays are found by walking both.
+    std::vector<TrackedFeature> previous;
+    for (const TrackedFeature& old : features_) {
+      if (previous.size() < followed.size() && followed[previous.size()].id == old.id) previous.push_back(old);
+    }
+    features_ = std::move(followed);
+    reject_outliers(previous, R_since_, rotation_trusted);
   } else {
     features_.clear();
   }
+  passed_over_ = 0;
+  R_since_.setIdentity();
   // Topped up in batches: finding corners costs as much as tracking them.
-  if (static_cast<int>(features_.size()) < options_.max_features - options_.max_features / 12) detect(image);
+  if (static_cast<int>(features_.size()) < options_.max_features - options_.max_features / 12) detect(image, gain);
   pyramid_ = std::move(pyramid);
   return features_;
 }
 
-void Tracker::follow(const std::vector<cv::Mat>& pyramid, const Eigen::Matrix3d& R_cur_prev) {
+std::vector<TrackedFeature> Tracker::follow(const std::vector<cv::Mat>& pyramid,
+                                            const Eigen::Matrix3d& R_cur_prev) const {
   std::vector<cv::Point2f> from, to;
   for (const TrackedFeature& feature : features_) {
     from.push_back(to_point(feature.pixel));
@@ -91,18 +108,16 @@ void Tracker::follow(const std::vector<cv::Mat>& pyramid, const Eigen::Matrix3d&
   std::vector<cv::Point2f> back = from;
   cv::calcOpticalFlowPyrLK(pyramid, pyramid_, to, back, status_back, error, window, 1, criteria,
                            cv::OPTFLOW_USE_INITIAL_FLOW);
-  std::vector<bool> good(features_.size());
+  std::vector<TrackedFeature> followed;
   for (size_t i = 0; i < features_.size(); ++i) {
     const Eigen::Vector2d pixel(to[i].x, to[i].y);
     if (!status[i] || !status_back[i] || !camera_.contains(pixel, options_.border)) continue;
     if (std::hypot(back[i].x - from[i].x, back[i].y - from[i].y) > options_.round_trip) continue;
     const auto ray = camera_.unproject(pixel);
     if (!ray) continue;
-    features_[i].pixel = pixel;
-    features_[i].ray = *ray;
-    good[i] = true;
+    followed.push_back({features_[i].id, pixel, *ray});
   }
-  keep(features_, good);
+  return followed;
 }
 
 void Tracker::reject_outliers(const std::vector<TrackedFeature>& previous, const Eigen::Matrix3d& R_cur_prev,
@@ -130,7 +145,9 @@ void Tracker::reject_outliers(const std::vector<TrackedFeature>& previous, const
   keep(features_, std::vector<bool>(mask.begin(), mask.end()));
 }
 
-void Tracker::detect(const cv::Mat& image) {
+void Tracker::detect(const cv::Mat& image, double gain) {
+  // What the sensor's noise (about 1.5 grey levels) makes of a flat surface, as cornerMinEigenVal counts: no corner.
+  const double noise = 3e-5 * gain * gain;
   // Square cells, about as many as features are wanted.
   const double area = static_cast<double>(image.cols) * image.rows;
   const double cell = std::sqrt(area / options_.max_features);
@@ -171,7 +188,7 @@ void Tracker::detect(const cv::Mat& image) {
       double strongest = 0;
       cv::Point at;
       cv::minMaxLoc(response(where), nullptr, &strongest, nullptr, &at, free(where));
-      if (strongest <= options_.corner_quality * best || strongest <= 0) continue;
+      if (strongest <= std::max(noise, options_.corner_quality * best)) continue;
       corners.push_back({static_cast<float>(strongest), at + where.tl()});
     }
   }

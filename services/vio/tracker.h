@@ -1,9 +1,11 @@
 // The front end: Shi-Tomasi corners followed by pyramidal Lucas-Kanade.
 //
 // Start positions come from the gyroscope's rotation, so fast turns need no large search; each track is confirmed by
-// tracking back; outliers are found without assuming that the scene is not a plane (two_point.h). New corners are
-// taken one per cell of a grid from the cells that have no track, so that features spread and the cost is bounded
-// whatever the image shows. Not thread-safe; deterministic.
+// tracking back, and where the prediction loses most of them they are followed without it; outliers are found without
+// assuming that the scene is not a plane (two_point.h). New corners are taken one per cell of a grid from the cells
+// that have no track, so that features spread and the cost is bounded whatever the image shows. A single image that
+// nearly nothing can be followed into (blur, a flash, a drop on the lens) is passed over, and the next one tracked from
+// the image before it. Not thread-safe; deterministic.
 #pragma once
 
 #include <cstdint>
@@ -36,7 +38,7 @@ class Tracker {
   //   R_cur_prev  camera rotation between the images by the gyroscope: takes the previous camera's coordinates to
   //               the current one's
   //   rotation_trusted  false while the gyroscope's bias is unknown: outliers are then found by an essential matrix
-  // Returns the features of this image, oldest first.
+  // Returns the features of this image, oldest first; none when it is passed over.
   const std::vector<TrackedFeature>& track(const cv::Mat& grey, const Eigen::Matrix3d& R_cur_prev,
                                            bool rotation_trusted);
 
@@ -47,16 +49,19 @@ class Tracker {
   void reset();
 
  private:
-  cv::Mat normalised(const cv::Mat& grey) const;
-  void follow(const std::vector<cv::Mat>& pyramid, const Eigen::Matrix3d& R_cur_prev);
+  cv::Mat normalised(const cv::Mat& grey, double* gain) const;
+  std::vector<TrackedFeature> follow(const std::vector<cv::Mat>& pyramid, const Eigen::Matrix3d& R_cur_prev) const;
   void reject_outliers(const std::vector<TrackedFeature>& previous, const Eigen::Matrix3d& R_cur_prev,
                        bool rotation_trusted);
-  void detect(const cv::Mat& image);
+  void detect(const cv::Mat& image, double gain);
 
   CameraModel camera_;
   TrackerOptions options_;
   std::vector<cv::Mat> pyramid_;
-  std::vector<TrackedFeature> features_;
+  std::vector<TrackedFeature> features_;  // in the image of pyramid_
+  std::vector<TrackedFeature> none_;
+  Eigen::Matrix3d R_since_ = Eigen::Matrix3d::Identity();  // since the image of pyramid_
+  int passed_over_ = 0;                                    // images in a row
   int64_t next_id_ = 0;
 };
 

@@ -1,7 +1,7 @@
 #include "services/vio/vio.h"
 
+#include <algorithm>
 #include <cmath>
-#include <limits>
 
 #include <fmt/format.h>
 
@@ -28,7 +28,9 @@ Vio::Vio(const VioOptions& options, const CameraModel& camera, const Extrinsics&
       camera_(camera),
       extrinsics_(extrinsics),
       tracker_(camera, options.tracker),
-      estimator_(options.estimator, extrinsics, options.imu, camera.focal()) {}
+      estimator_(options.estimator, extrinsics, options.imu, camera.focal()),
+      calibration_(options.calibration, extrinsics, options.estimator.gravity, camera.focal(),
+                   options.estimator.pixel_sigma) {}
 
 void Vio::feed_imu(const ImuSample& sample) {
   ++counters_["imu.received"];
@@ -47,6 +49,56 @@ void Vio::feed_imu(const ImuSample& sample) {
   }
   last_imu_ = sample.utime;
   imu_.push_back(sample);
+  if (sample.gyro.cwiseAbs().maxCoeff() >= options_.gyro_range ||
+      sample.accel.cwiseAbs().maxCoeff() >= options_.accel_range) {
+    imu_.back().saturated = true;
+    ++counters_["imu.saturated"];
+  }
+}
+
+void Vio::feed_altitude(int64_t utime, double height, double stddev) {
+  constexpr double kUsualStddev = 1.0;  // m, where the sensor does not say
+  constexpr size_t kMostAltitudes = 100;
+  ++counters_["altitude.received"];
+  if (!std::isfinite(height) || height < 0 || height > 1e5 || stddev <= 0) {
+    ++counters_["altitude.rejected.implausible"];
+    return;
+  }
+  if (!altitudes_.empty() && utime <= altitudes_.back().utime) {
+    ++counters_["altitude.rejected.order"];
+    return;
+  }
+  altitudes_.push_back({utime, height, std::isfinite(stddev) ? stddev : kUsualStddev});
+  if (altitudes_.size() > kMostAltitudes) altitudes_.pop_front();
+}
+
+// Between the measurements before and after, which must be near.
+std::optional<HeightMeasurement> Vio::height_at(int64_t utime) const {
+  constexpr int64_t kNear = 500'000;  // microseconds
+  for (size_t k = altitudes_.size(); k-- > 0;) {
+    const Altitude& before = altitudes_[k];
+    if (before.utime > utime) continue;
+    if (utime - before.utime > kNear) return std::nullopt;
+    if (k + 1 == altitudes_.size()) return HeightMeasurement{before.height, before.stddev};
+    const Altitude& after = altitudes_[k + 1];
+    const double s = static_cast<double>(utime - before.utime) / static_cast<double>(after.utime - before.utime);
+    return HeightMeasurement{(1 - s) * before.height + s * after.height, std::max(before.stddev, after.stddev)};
+  }
+  return std::nullopt;
+}
+
+void Vio::hint_scale(double ratio, double stddev) {
+  ++counters_["hints"];
+  estimator_.hint_scale(ratio, stddev);
+}
+
+const std::vector<TrackedFeature>& Vio::with_row_delays(const std::vector<TrackedFeature>& features) {
+  if (options_.readout_time == 0) return features;
+  delayed_ = features;
+  for (TrackedFeature& feature : delayed_) {
+    feature.row_delay = options_.readout_time * (feature.pixel.y() / (camera_.height() - 1) - 0.5);
+  }
+  return delayed_;
 }
 
 void Vio::feed_image(int64_t utime, const cv::Mat& grey) {
@@ -99,20 +151,23 @@ void Vio::restart(const std::string& reason) {
 }
 
 std::optional<VioOutput> Vio::next() {
-  const auto offset = static_cast<int64_t>(std::llround(1e6 * options_.camera_time_offset));
-  while (!images_.empty() && last_imu_ >= images_.front().utime + offset) {
+  while (!images_.empty()) {
+    const auto offset = static_cast<int64_t>(std::llround(1e6 * estimator_.time_offset()));
     const PendingImage image = images_.front();
+    // By the IMU's clock; never before the last one, however the estimated offset has moved.
+    const int64_t now = std::max(image.utime + offset, last_state_ + 1);
+    if (last_imu_ < now) break;
     images_.pop_front();
-    if (imu_.empty() || imu_.front().utime > image.utime + offset) {
+    if (imu_.empty() || imu_.front().utime > now) {
       ++counters_["camera.rejected.no_imu"];
       continue;
     }
     ++counters_["camera.processed"];
     Eigen::Matrix3d R_cur_prev = Eigen::Matrix3d::Identity();
     std::vector<ImuSample> samples;
-    if (last_processed_ != 0) {
+    if (last_state_ != 0) {
       bool gap = false;
-      samples = take_imu(last_processed_ + offset, image.utime + offset, &gap);
+      samples = take_imu(last_state_, now, &gap);
       if (gap) {
         ++counters_["imu.gaps"];
         restart("a gap in the IMU");
@@ -123,26 +178,50 @@ std::optional<VioOutput> Vio::next() {
       const Eigen::Matrix3d R_prev_cur = turn.gamma().toRotationMatrix();
       R_cur_prev = extrinsics_.R_B_C.transpose() * R_prev_cur.transpose() * extrinsics_.R_B_C;
     }
-    last_processed_ = image.utime;
+    last_state_ = now;
 
-    const auto& features = tracker_.track(image.grey, R_cur_prev, estimator_.gyro_bias_known());
+    const auto& tracked = tracker_.track(image.grey, R_cur_prev, estimator_.gyro_bias_known());
+    const auto& features = with_row_delays(tracked);
+    calibration_.add(now, features, samples);
     VioOutput output;
     output.utime = image.utime;
     output.num_tracked = static_cast<int>(features.size());
-    const auto status = estimator_.process(image.utime, features, samples);
-    if (status == Estimator::Status::kFailed) restart(estimator_.reason());
+    auto status = Estimator::Status::kInitialising;
+    if (calibration_.complaint().empty()) {
+      status = estimator_.process(now, features, samples, height_at(now));
+      if (status == Estimator::Status::kFailed) restart(estimator_.reason());
+      if (estimator_.rescaled()) {
+        ++session_;
+        ++counters_["rescales"];
+      }
+    } else if (estimator_.status() != Estimator::Status::kInitialising) {
+      restart(calibration_.complaint());
+    } else {
+      estimator_.reset();  // not flown, not even begun, for as long as this is so
+    }
+    counters_["calibration.wrong"] = calibration_.complaint().empty() ? 0 : 1;
     output.session = session_;
     output.status = estimator_.status();
-    output.reason = restart_reason_.empty() || output.status != Estimator::Status::kInitialising
-                        ? estimator_.reason()
-                        : fmt::format("restarted ({}): {}", restart_reason_, estimator_.reason());
+    output.reason = estimator_.reason();
+    if (output.status == Estimator::Status::kInitialising) {
+      if (!calibration_.complaint().empty()) {
+        output.reason = "calibration: " + calibration_.complaint();
+      } else if (!restart_reason_.empty()) {
+        output.reason = fmt::format("restarted ({}): {}", restart_reason_, estimator_.reason());
+      }
+    }
     output.height_above_ground = estimator_.height_above_ground();
     output.pose_covariance = estimator_.pose_covariance();
+    output.velocity_covariance = estimator_.velocity_covariance();
+    output.scale_stddev = estimator_.scale_stddev();
+    output.time_offset = estimator_.time_offset();
+    output.extrinsics = estimator_.extrinsics();
     output.last_keyframe_id = estimator_.last_keyframe_id();
     if (output.status != Estimator::Status::kInitialising) {
       restart_reason_.clear();
       output.state = estimator_.newest();
       output.keyframe = estimator_.keyframe();
+      if (output.keyframe) output.keyframe->utime = image.utime;
       tracker_.drop(estimator_.outliers());
     }
     return output;

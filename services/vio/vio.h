@@ -7,8 +7,9 @@
 // Initialises by itself, in flight or from standstill; finds its own failure, restarts and counts the session up.
 // The first session is the Unix second of the first image: a process that is started anew in flight takes a larger
 // number than its predecessor, since no session is shorter than a second.
-// Bad input is refused, counted and survived. Not thread-safe; deterministic: the outputs depend on the order of the
-// samples of each sensor and not on how the two are interleaved.
+// A calibration that cannot be right (CalibrationCheck) is reported and not flown. Bad input is refused, counted and
+// survived. Not thread-safe; deterministic: the outputs depend on the order of the samples of each sensor and not on
+// how the two are interleaved.
 #pragma once
 
 #include <cstdint>
@@ -31,6 +32,10 @@ struct VioOutput {
   StateValues state;               // meaningful unless initialising
   double height_above_ground = 0;  // m, NaN: unknown
   Eigen::Matrix<double, 6, 6> pose_covariance;  // as in vio_state_t
+  Eigen::Matrix3d velocity_covariance;          // likewise
+  double scale_stddev = 0;                      // likewise
+  double time_offset = 0;                       // s, likewise
+  Extrinsics extrinsics;                        // in use
   int num_tracked = 0;
   int last_keyframe_id = -1;
   std::optional<Keyframe> keyframe;
@@ -47,6 +52,13 @@ class Vio {
   // ignored.
   void feed_image(int64_t utime, const cv::Mat& grey);
 
+  // A height above ground, m; `stddev` NaN: unknown. Others than finite ones, and those out of order, are counted and
+  // ignored.
+  void feed_altitude(int64_t utime, double height, double stddev);
+
+  // True lengths over published ones, as the map sees them; see Estimator::hint_scale.
+  void hint_scale(double ratio, double stddev);
+
   // Processes the next image that the IMU reaches beyond; nullopt when there is none.
   std::optional<VioOutput> next();
 
@@ -61,16 +73,26 @@ class Vio {
   };
   std::vector<ImuSample> take_imu(int64_t from, int64_t to, bool* gap);
   void restart(const std::string& reason);
+  std::optional<HeightMeasurement> height_at(int64_t utime) const;
+  const std::vector<TrackedFeature>& with_row_delays(const std::vector<TrackedFeature>& features);
 
+  struct Altitude {
+    int64_t utime;
+    double height, stddev;
+  };
   VioOptions options_;
   CameraModel camera_;
   Extrinsics extrinsics_;
   Tracker tracker_;
   Estimator estimator_;
+  CalibrationCheck calibration_;
+  std::deque<Altitude> altitudes_;
+  std::vector<TrackedFeature> delayed_;
   std::deque<ImuSample> imu_;
   std::deque<PendingImage> images_;
-  int64_t last_imu_ = 0, last_image_ = 0, last_processed_ = 0;
-  int session_ = 0;  // 0: before the first image
+  int64_t last_imu_ = 0, last_image_ = 0;
+  int64_t last_state_ = 0;  // the time of the newest state, by the IMU's clock; 0: none yet
+  int session_ = 0;         // 0: before the first image
   std::string restart_reason_;
   std::map<std::string, double> counters_;
 };

@@ -1,12 +1,14 @@
 #include "services/vio/vio_service.h"
 
 #include <algorithm>
+#include <cmath>
 #include <limits>
 
 #include <spdlog/spdlog.h>
 
 #include "common/bus/channels.h"
 #include "common/camera/image_decode.h"
+#include "orthonav/altitude_t.hpp"
 #include "orthonav/vio_keyframe_t.hpp"
 #include "orthonav/vio_state_t.hpp"
 
@@ -34,11 +36,23 @@ void put(const Eigen::Matrix<double, 6, 6>& from, double* to) {
 
 }  // namespace
 
-VioService::VioService(Node& node, const std::filesystem::path& config)
-    : node_(node), setup_(load_setup(config)), vio_(setup_.options, setup_.camera, setup_.extrinsics) {
+VioService::VioService(Node& node, const std::filesystem::path& config) : VioService(node, load_setup(config)) {}
+
+VioService::VioService(Node& node, const VioSetup& setup)
+    : node_(node),
+      setup_(setup),
+      vio_(setup_.options, setup_.camera, setup_.extrinsics),
+      hinter_(setup_.options.hint_distance) {
   node_.subscribe<imu_t>(channel::kImu, Delivery::kAll, [this](const imu_t& message) { on_imu(message); });
   node_.subscribe<image_t>(
       channel::kCamera, Delivery::kLatest, [this](const image_t& message) { on_image(message); }, kImageQueue);
+  node_.subscribe<altitude_t>(channel::kAltitude, Delivery::kAll, [this](const altitude_t& message) {
+    vio_.feed_altitude(message.utime, message.height_above_ground, message.stddev);
+  });
+  if (setup_.options.fusion_hint) {
+    node_.subscribe<nav_state_t>(channel::kNavState, Delivery::kAll,
+                                 [this](const nav_state_t& message) { on_nav(message); });
+  }
   node_.health().set_state(Health::State::kStarting, "waiting for IMU and CAMERA");
 }
 
@@ -61,11 +75,22 @@ void VioService::on_image(const image_t& message) {
   drain();
 }
 
+void VioService::on_nav(const nav_state_t& message) {
+  const Eigen::Map<const Eigen::Matrix<double, 6, 6, Eigen::RowMajor>> covariance(message.covariance);
+  const double stddev = std::sqrt(0.5 * covariance.topLeftCorner<2, 2>().trace());
+  const auto hint = hinter_.add_fused(message.utime, message.session, message.mode == nav_state_t::MAP_AIDED,
+                                      message.reset_counter, Eigen::Map<const Eigen::Vector3d>(message.p_G_B), stddev);
+  if (hint) vio_.hint_scale(hint->ratio, hint->stddev);
+}
+
 void VioService::drain() {
   while (true) {
     const Stopwatch watch(node_);
     const auto output = vio_.next();
     if (!output) break;
+    if (output->status != Estimator::Status::kInitialising) {
+      hinter_.add_odometry(output->utime, output->session, output->state.p());
+    }
     publish_state(*output, watch.ms());
     if (output->keyframe) publish_keyframe(*output);
     update_health(*output);
@@ -81,6 +106,7 @@ void VioService::publish_state(const VioOutput& output, double processing_ms) {
   message.num_tracked = output.num_tracked;
   message.last_keyframe_id = output.last_keyframe_id;
   message.processing_ms = processing_ms;
+  message.camera_time_offset = output.time_offset;
   if (output.status == Status::kInitialising) {
     message.status = vio_state_t::INITIALISING;
     for (double* field : {message.p_W_B, message.v_W_B, message.gyro_bias, message.accel_bias}) {
@@ -88,6 +114,8 @@ void VioService::publish_state(const VioOutput& output, double processing_ms) {
     }
     std::fill_n(message.q_W_B, 4, kUnknown);
     std::fill_n(message.pose_covariance, 36, kUnknown);
+    std::fill_n(message.velocity_covariance, 9, kUnknown);
+    message.scale_stddev = kUnknown;
     message.height_above_ground = kUnknown;
   } else {
     message.status = output.status == Status::kDegraded ? vio_state_t::DEGRADED : vio_state_t::TRACKING;
@@ -97,6 +125,8 @@ void VioService::publish_state(const VioOutput& output, double processing_ms) {
     put(Eigen::Vector3d(output.state.bg()), message.gyro_bias);
     put(Eigen::Vector3d(output.state.ba()), message.accel_bias);
     put(output.pose_covariance, message.pose_covariance);
+    Eigen::Map<Eigen::Matrix<double, 3, 3, Eigen::RowMajor>>{message.velocity_covariance} = output.velocity_covariance;
+    message.scale_stddev = output.scale_stddev;
     message.height_above_ground = output.height_above_ground;
   }
   node_.publish(channel::kVioState, message);
@@ -111,10 +141,11 @@ void VioService::publish_keyframe(const VioOutput& output) {
   put(Eigen::Vector3d(keyframe.state.p()), message.p_W_B);
   put(Eigen::Quaterniond(keyframe.state.q()), message.q_W_B);
   put(Eigen::Vector3d(keyframe.state.v()), message.v_W_B);
-  put(setup_.extrinsics.p_B_C, message.p_B_C);
-  put(Eigen::Quaterniond(setup_.extrinsics.R_B_C), message.q_B_C);
+  put(output.extrinsics.p_B_C, message.p_B_C);
+  put(Eigen::Quaterniond(output.extrinsics.R_B_C), message.q_B_C);
   message.height_above_ground = keyframe.height_above_ground;
   put(keyframe.relative_covariance, message.relative_covariance);
+  message.scale_stddev = keyframe.scale_stddev;
   for (const KeyframeFeature& feature : keyframe.features) {
     vio_feature_t entry{};
     entry.id = feature.id;
@@ -136,6 +167,7 @@ void VioService::update_health(const VioOutput& output) {
   health.set("session", output.session);
   health.set("features.tracked", output.num_tracked);
   health.set("keyframes", output.last_keyframe_id + 1);
+  health.set("camera.time_offset_ms", 1e3 * output.time_offset);
   if (output.session != announced_session_ && output.status != Status::kInitialising) {
     announced_session_ = output.session;
     spdlog::info("started session {}", output.session);

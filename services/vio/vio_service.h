@@ -9,6 +9,8 @@
 #include "common/bus/service_main.h"
 #include "orthonav/image_t.hpp"
 #include "orthonav/imu_t.hpp"
+#include "orthonav/nav_state_t.hpp"
+#include "services/vio/scale_hint.h"
 #include "services/vio/vio.h"
 
 namespace orthonav::vio {
@@ -18,10 +20,13 @@ class VioService final : public Service {
   // Reads `config`/vio.yaml and `config`/aircraft.yaml and subscribes on `node`, which outlives the service.
   // Throws ConfigError.
   VioService(Node& node, const std::filesystem::path& config);
+  // The same with a setup from elsewhere.
+  VioService(Node& node, const VioSetup& setup);
 
  private:
   void on_imu(const imu_t& message);
   void on_image(const image_t& message);
+  void on_nav(const nav_state_t& message);
   void drain();
   void publish_state(const VioOutput& output, double processing_ms);
   void publish_keyframe(const VioOutput& output);
@@ -31,6 +36,7 @@ class VioService final : public Service {
   Node& node_;
   VioSetup setup_;
   Vio vio_;
+  ScaleHinter hinter_;
   std::map<std::string, double> reported_;  // rejects already shown in the health
   int announced_session_ = 0;
 };

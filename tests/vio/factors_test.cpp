@@ -3,6 +3,7 @@
 #include <gtest/gtest.h>
 
 #include "common/math/so3.h"
+#include "services/vio/aid_factors.h"
 #include "services/vio/imu_factor.h"
 #include "services/vio/prior.h"
 #include "services/vio/projection_factor.h"
@@ -147,9 +148,19 @@ TEST(ProjectionFactor, JacobiansMatchFiniteDifferences) {
     j.state = i.state;
     j.state.p() += random.vector(0.4);
     j.state.q() = i.state.q() * so3_exp(random.vector(0.1));
-    const ProjectionFactor factor({0.3 * random(), 0.3 * random(), 1.0}, {0.3 * random(), 0.3 * random(), 1.0},
-                                  extrinsics, 460.0, i, j);
-    expect_jacobians_match(factor, {as_vector(i.state.pose), as_vector(j.state.pose), {0.2}}, 1e-5);
+    Shared shared;
+    shared.state.set(extrinsics);
+    shared.camera_free = true;
+    const Bearings bearings{{0.3 * random(), 0.3 * random(), 1.0},
+                            {0.3 * random(), 0.3 * random(), 1.0},
+                            {random(), random()},
+                            {random(), random()},
+                            0.01,
+                            0.012};
+    const ProjectionFactor factor(bearings, shared, extrinsics, 460.0, i, j);
+    expect_jacobians_match(
+        factor, {as_vector(i.state.pose), as_vector(j.state.pose), {0.2}, as_vector(shared.state.camera), {0.02}},
+        1e-5);
   }
 }
 
@@ -163,23 +174,42 @@ TEST(ProjectionFactor, TakesJacobiansAtTheFirstEstimateOnceItIsFixed) {
   i.pose_fixed = true;
   j.state = i.state;
   j.state.p() += random.vector(0.3);
-  const Vector3d ray_i(0.1, 0.2, 1), ray_j(0.15, 0.18, 1);
-  const ProjectionFactor factor(ray_i, ray_j, extrinsics, 460.0, i, j);
-  const double inverse_depth = 0.2;
-  const double* parameters[3] = {i.state.pose.data(), j.state.pose.data(), &inverse_depth};
+  const Bearings bearings{{0.1, 0.2, 1}, {0.15, 0.18, 1}};
+  Shared shared;
+  shared.state.set(extrinsics);
+  const ProjectionFactor factor(bearings, shared, extrinsics, 460.0, i, j);
+  const double inverse_depth = 0.2, time_offset = 0;
+  const double* parameters[5] = {i.state.pose.data(), j.state.pose.data(), &inverse_depth, shared.state.camera.data(),
+                                 &time_offset};
   double residual[2], J_i[14], J_j[14], J_d[2];
-  double* jacobians[3] = {J_i, J_j, J_d};
+  double* jacobians[5] = {J_i, J_j, J_d, nullptr, nullptr};
   ASSERT_TRUE(factor.Evaluate(parameters, residual, jacobians));
   Eigen::Vector2d at_state, at_first;
   ProjectionFactor::Jacobians expected;
-  ProjectionFactor::evaluate(ray_i, ray_j, extrinsics, 460.0, i.state.pose.data(), j.state.pose.data(), inverse_depth,
+  ProjectionFactor::evaluate(bearings, 0, extrinsics, 460.0, i.state.pose.data(), j.state.pose.data(), inverse_depth,
                              &at_state, nullptr);
-  ProjectionFactor::evaluate(ray_i, ray_j, extrinsics, 460.0, i.first_estimate.pose.data(), j.state.pose.data(),
+  ProjectionFactor::evaluate(bearings, 0, extrinsics, 460.0, i.first_estimate.pose.data(), j.state.pose.data(),
                              inverse_depth, &at_first, &expected);
   EXPECT_NEAR(residual[0], at_state[0], 1e-12);
   EXPECT_GT((at_first - at_state).norm(), 1e-3);
   EXPECT_NEAR(J_i[0], expected.pose_i(0, 0), 1e-12);
   EXPECT_NEAR(J_j[9], expected.pose_j(1, 2), 1e-12);
+}
+
+TEST(AidFactors, JacobiansMatchFiniteDifferences) {
+  Random random;
+  const Extrinsics extrinsics = tilted_camera();
+  for (int trial = 0; trial < 20; ++trial) {
+    Frame i, j;
+    i.state = random_state(random);
+    j.state = random_state(random);
+    const Vector3d ray(0.3 * random(), 0.3 * random(), 1.0);
+    const HeightFactor height({3.0, 0.5}, ray, extrinsics, i, j);
+    expect_jacobians_match(height, {as_vector(i.state.pose), as_vector(j.state.pose), {0.2}, {0.4}}, 1e-5);
+    const DistanceFactor distance(2.0, 0.1, i, j);
+    expect_jacobians_match(distance, {as_vector(i.state.pose), as_vector(j.state.pose)}, 1e-5);
+    expect_jacobians_match(StandstillFactor(0.05), {as_vector(i.state.speed_bias)}, 1e-5);
+  }
 }
 
 TEST(PoseManifold, MinusUndoesPlus) {
@@ -198,11 +228,12 @@ TEST(PoseManifold, MinusUndoesPlus) {
 struct SmallProblem {
   std::vector<std::unique_ptr<Frame>> frames;
   std::vector<Landmark> landmarks;
-  Extrinsics extrinsics;
+  Shared shared;  // a camera at the body's origin; the time offset is free
   double weight = 460;
 
   explicit SmallProblem(int count) {
     Random random;
+    shared.time_free = true;
     const Preintegration pre = some_motion();
     const Vector3d g(0, 0, -9.81);
     for (int k = 0; k < count; ++k) {
@@ -231,6 +262,7 @@ struct SmallProblem {
         Observation observation;
         observation.frame = frame.get();
         observation.ray = p_C / p_C.z() + Vector3d(1e-3 * random(), 1e-3 * random(), 0);
+        observation.rate = {0.1 * random(), 0.1 * random()};
         if (frame == frames[0]) observation.ray = ray;
         landmark.observations.push_back(observation);
       }
@@ -247,17 +279,16 @@ struct SmallProblem {
 
 TEST(PriorFactor, JacobiansMatchFiniteDifferencesAtTheFirstEstimate) {
   SmallProblem problem(3);
-  NormalEquations equations(problem.pointers());
+  NormalEquations equations(problem.pointers(), problem.shared);
   equations.add_prior(make_initial_prior(*problem.frames[0], {}, Vector3d::Zero(), Vector3d::Zero()));
   equations.add_imu(*problem.frames[0], *problem.frames[1], 9.81);
   for (const Landmark& landmark : problem.landmarks) {
-    equations.add_landmark(landmark, problem.extrinsics, problem.weight, 1e9);
+    equations.add_landmark(landmark, problem.weight, 1e9);
   }
   const Prior prior = equations.marginalise(*problem.frames[0]);
   std::vector<std::vector<double>> blocks;
   for (const Prior::Block& block : prior.blocks) {
-    blocks.push_back(block.speed_bias ? as_vector(block.frame->first_estimate.speed_bias)
-                                      : as_vector(block.frame->first_estimate.pose));
+    blocks.emplace_back(block.first_estimate(), block.first_estimate() + block.ambient_size());
   }
   expect_jacobians_match(PriorFactor(prior), blocks, 1e-5);
 }
@@ -267,25 +298,27 @@ TEST(PriorFactor, JacobiansMatchFiniteDifferencesAtTheFirstEstimate) {
 TEST(Marginalisation, KeepsTheInformationOfTheFullProblem) {
   SmallProblem problem(4);
   const Prior start = make_initial_prior(*problem.frames[0], {}, Vector3d::Zero(), Vector3d::Zero());
-  NormalEquations full(problem.pointers());
+  NormalEquations full(problem.pointers(), problem.shared);
   full.add_prior(start);
   for (size_t k = 1; k < 4; ++k) full.add_imu(*problem.frames[k - 1], *problem.frames[k], 9.81);
-  for (const Landmark& landmark : problem.landmarks)
-    full.add_landmark(landmark, problem.extrinsics, problem.weight, 1e9);
+  for (const Landmark& landmark : problem.landmarks) full.add_landmark(landmark, problem.weight, 1e9);
 
-  NormalEquations leaving(problem.pointers());
+  NormalEquations leaving(problem.pointers(), problem.shared);
   leaving.add_prior(start);
   leaving.add_imu(*problem.frames[0], *problem.frames[1], 9.81);
   for (const Landmark& landmark : problem.landmarks) {
-    leaving.add_landmark(landmark, problem.extrinsics, problem.weight, 1e9);
+    leaving.add_landmark(landmark, problem.weight, 1e9);
   }
   const Prior prior = leaving.marginalise(*problem.frames[0]);
-  NormalEquations rest(problem.pointers(1));
+  NormalEquations rest(problem.pointers(1), problem.shared);
   rest.add_prior(prior);
   for (size_t k = 2; k < 4; ++k) rest.add_imu(*problem.frames[k - 1], *problem.frames[k], 9.81);
 
+  const int time_full = full.offset({Prior::Block::Kind::kTimeOffset, nullptr, &problem.shared});
+  const int time_rest = rest.offset({Prior::Block::Kind::kTimeOffset, nullptr, &problem.shared});
   const VectorXd step_full = full.H().ldlt().solve(full.b());
   const VectorXd step_rest = rest.H().ldlt().solve(rest.b());
+  EXPECT_NEAR(step_full[time_full], step_rest[time_rest], 1e-6 * (1 + std::abs(step_full[time_full])));
   for (size_t k = 1; k < 4; ++k) {
     const Frame& frame = *problem.frames[k];
     const VectorXd a = step_full.segment<6>(full.pose_offset(frame));
@@ -304,10 +337,10 @@ TEST(Marginalisation, KeepsTheInformationOfTheFullProblem) {
 // wherever the states have moved since.
 TEST(Marginalisation, GainsNoInformationAboutPositionAndYaw) {
   SmallProblem problem(3);
-  NormalEquations equations(problem.pointers());
+  NormalEquations equations(problem.pointers(), problem.shared);
   equations.add_imu(*problem.frames[0], *problem.frames[1], 9.81);
   for (const Landmark& landmark : problem.landmarks) {
-    equations.add_landmark(landmark, problem.extrinsics, problem.weight, 1e9);
+    equations.add_landmark(landmark, problem.weight, 1e9);
   }
   const Prior prior = equations.marginalise(*problem.frames[0]);
   // The unobservable directions at the first estimates: translation along each axis, and a turn about z.
@@ -315,10 +348,11 @@ TEST(Marginalisation, GainsNoInformationAboutPositionAndYaw) {
     VectorXd shift = VectorXd::Zero(prior.J.cols());
     int column = 0;
     for (const Prior::Block& block : prior.blocks) {
+      if (!block.frame) continue;  // what is shared stays
       const StateValues& x0 = block.frame->first_estimate;
       if (direction < 3) {
-        if (!block.speed_bias) shift[column + direction] = 1;
-      } else if (block.speed_bias) {
+        if (block.pose()) shift[column + direction] = 1;
+      } else if (!block.pose()) {
         shift.segment<3>(column) = Vector3d::UnitZ().cross(Vector3d(x0.v()));
       } else {
         shift.segment<3>(column) = Vector3d::UnitZ().cross(Vector3d(x0.p()));

@@ -1,5 +1,6 @@
 #include "tests/vio/simulated_flight.h"
 
+#include <algorithm>
 #include <cmath>
 #include <map>
 
@@ -77,8 +78,53 @@ Trajectory survey_flight(double height, double speed, double rest) {
   return trajectory;
 }
 
+std::vector<ImuSample> ideal_imu(const Trajectory& trajectory, double from, double to) {
+  constexpr double kGravity = 9.81;
+  std::vector<ImuSample> samples{trajectory.imu(from, kGravity)};
+  for (double t = kImuStep * (std::floor(from / kImuStep + 1e-6) + 1); t < to - 1e-6; t += kImuStep) {
+    samples.push_back(trajectory.imu(t, kGravity));
+  }
+  samples.push_back(trajectory.imu(to, kGravity));
+  return samples;
+}
+
+Trajectory with_pause(const Trajectory& flight, double from, double to, double sway) {
+  // Time slows down to a stop over two seconds and comes back the same way, smoothly to the second derivative.
+  const auto ramp = [](double s) {  // the integral of 1 - smoothstep over [0, 1] at s
+    const double c = std::clamp(s, 0.0, 1.0);
+    return c - (c * c * c - 0.5 * c * c * c * c);
+  };
+  const auto clock = [=](double t) {
+    constexpr double kSlow = 2.0;
+    if (t < from) return t;
+    const double stopped = from + kSlow * ramp((t - from) / kSlow);
+    if (t < to) return stopped;
+    return from + kSlow * 0.5 + kSlow * (0.5 - ramp(1 - std::min(1.0, (t - to) / kSlow))) +
+           std::max(0.0, t - to - kSlow);
+  };
+  // The sway fades in and out with the pause.
+  const auto fade = [=](double t) {
+    const double in = std::clamp((t - from) / 3.0, 0.0, 1.0), out = std::clamp((to - t) / 3.0, 0.0, 1.0);
+    const double c = std::min(in, out);
+    return c * c * c * (10 - 15 * c + 6 * c * c);
+  };
+  Trajectory paused;
+  paused.position = [=](double t) {
+    const double a = sway * fade(t);
+    return Eigen::Vector3d(flight.position(clock(t)) +
+                           a * Eigen::Vector3d(std::sin(1.1 * t), std::cos(0.8 * t + 1), 0.5 * std::sin(0.6 * t)));
+  };
+  paused.orientation = [=](double t) {
+    const double a = (sway > 0 ? 0.035 : 0.0) * fade(t);
+    return Eigen::Vector3d(flight.orientation(clock(t)) +
+                           a * Eigen::Vector3d(std::sin(1.3 * t), std::cos(0.9 * t), 0.5 * std::sin(0.4 * t)));
+  };
+  return paused;
+}
+
 std::vector<SimulatedFrame> simulate_frames(const Trajectory& trajectory, double duration, double relief,
-                                            const SimulatedNoise& noise, unsigned seed) {
+                                            const SimulatedNoise& noise, unsigned seed,
+                                            const SimulatedCamera& simulated) {
   constexpr double kGravity = 9.81;
   constexpr int kMostFeatures = 120;
   std::mt19937 generator(seed);
@@ -86,7 +132,7 @@ std::vector<SimulatedFrame> simulate_frames(const Trajectory& trajectory, double
   std::uniform_real_distribution<double> uniform;
   const auto draw = [&] { return Eigen::Vector3d(normal(generator), normal(generator), normal(generator)); };
   const CameraModel camera = test_camera();
-  const Extrinsics extrinsics = downward_camera();
+  const Extrinsics& extrinsics = simulated.extrinsics;
   const ImuNoise class_noise;
   const double root = std::sqrt(kImuStep);
   Eigen::Vector3d bg = noise.gyro_bias, ba = noise.accel_bias;
@@ -119,12 +165,23 @@ std::vector<SimulatedFrame> simulate_frames(const Trajectory& trajectory, double
       last.gyro += bg;
       last.accel += ba;
     }
-    const Eigen::Vector3d p = trajectory.position(frame.t);
-    const Eigen::Quaterniond q = trajectory.attitude(frame.t);
-    const auto see = [&](const Eigen::Vector3d& point) {
-      const Eigen::Vector3d p_C = extrinsics.R_B_C.transpose() * (q.conjugate() * (point - p) - extrinsics.p_B_C);
+    const double shown = frame.t + simulated.time_offset;
+    const Eigen::Vector3d p = trajectory.position(shown);
+    const Eigen::Quaterniond q = trajectory.attitude(shown);
+    const auto see_at = [&](const Eigen::Vector3d& point, const Eigen::Vector3d& p_W, const Eigen::Quaterniond& q_W) {
+      const Eigen::Vector3d p_C = extrinsics.R_B_C.transpose() * (q_W.conjugate() * (point - p_W) - extrinsics.p_B_C);
       auto pixel = camera.project(p_C);
       if (pixel && !camera.contains(*pixel, 5)) pixel.reset();
+      return pixel;
+    };
+    const auto see = [&](const Eigen::Vector3d& point) {
+      auto pixel = see_at(point, p, q);
+      if (simulated.readout_time == 0) return pixel;
+      // The row that a point falls on says when it is seen, and that where it falls.
+      for (int iteration = 0; iteration < 3 && pixel; ++iteration) {
+        const double t = shown + simulated.readout_time * (pixel->y() / (camera.height() - 1) - 0.5);
+        pixel = see_at(point, trajectory.position(t), trajectory.attitude(t));
+      }
       return pixel;
     };
     for (auto it = points.begin(); it != points.end();) it = see(it->second) ? std::next(it) : points.erase(it);

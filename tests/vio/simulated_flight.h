@@ -29,6 +29,13 @@ struct Trajectory {
   ImuSample imu(double t, double gravity) const;
 };
 
+// IMU samples of a trajectory every 5 ms from `from` to `to` (s), both ends included, whatever they are.
+std::vector<ImuSample> ideal_imu(const Trajectory& trajectory, double from, double to);
+
+// The flight with its time standing still from `from` to `to`, s; the flight must be slow about then. With `sway` the
+// aircraft hovers meanwhile: it wanders by so much (m) and rocks by 2 degrees.
+Trajectory with_pause(const Trajectory& flight, double from, double to, double sway);
+
 // A multirotor's forward flight at `height` (m) and `speed` (m/s) with a sway of a few seconds' period; it stands
 // still at its start for `rest` seconds.
 Trajectory survey_flight(double height, double speed, double rest = 0);
@@ -40,6 +47,13 @@ struct SimulatedNoise {
   Eigen::Vector3d accel_bias = Eigen::Vector3d::Zero();  // m/s^2
 };
 
+// What the camera really is, where the estimator believes in downward_camera() and a global shutter in time.
+struct SimulatedCamera {
+  Extrinsics extrinsics = downward_camera();
+  double time_offset = 0;   // s: a picture stamped t shows what was at t + this
+  double readout_time = 0;  // s, from the first row to the last, about the stamp
+};
+
 struct SimulatedFrame {
   int64_t utime = 0;
   double t = 0;
@@ -49,7 +63,8 @@ struct SimulatedFrame {
 
 // Frames at 10 Hz with points on a ground of `relief` (m, 1 sigma). A point keeps its id while it is in view.
 std::vector<SimulatedFrame> simulate_frames(const Trajectory& trajectory, double duration, double relief,
-                                            const SimulatedNoise& noise, unsigned seed);
+                                            const SimulatedNoise& noise, unsigned seed,
+                                            const SimulatedCamera& simulated = {});
 
 // The picture of the plane z = 0 under a fixed random texture.
 class TexturedGround {

@@ -2,20 +2,24 @@
 //
 //   vio_bench --config config/rural flight1.lcm flight2.lcm      flight logs with TRUTH
 //   vio_bench --config config/default --asl DIR                  EuRoC/ASL folders; calibration from its sensor.yaml
+//   vio_bench --config config/rural --starts 20 flight.lcm       starts at random moments: time, scale
+//   vio_bench --config config/rural --loops 8 flight.lcm         an hour: memory and time per frame, loop by loop
 //
 // One line per flight: position RMSE after alignment in yaw and translation (4-DoF) and by a similarity (Umeyama), the
-// scale of the latter, drift over 100 m, sessions, time to start, time per frame.
+// scale of the latter, drift over 100 m of flight, sessions and why they ended, time to start, normalised error squared
+// (per dimension) of the motion between keyframes, time per frame.
 #include <chrono>
 #include <cmath>
 #include <cstdio>
 #include <filesystem>
 #include <fstream>
+#include <limits>
 #include <map>
+#include <random>
 #include <sstream>
 
 #include <CLI/CLI.hpp>
 #include <opencv2/imgcodecs.hpp>
-#include <yaml-cpp/yaml.h>
 
 #include "common/bus/channels.h"
 #include "common/camera/image_decode.h"
@@ -24,8 +28,10 @@
 #include "common/math/align.h"
 #include "common/math/so3.h"
 #include "common/math/statistics.h"
+#include "orthonav/altitude_t.hpp"
 #include "orthonav/imu_t.hpp"
 #include "orthonav/truth_t.hpp"
+#include "services/vio/asl_setup.h"
 #include "services/vio/vio.h"
 
 namespace orthonav::vio {
@@ -65,22 +71,22 @@ void run_pending(Vio& vio, Result& result, bool verbose) {
   }
 }
 
-Result run_log(const std::filesystem::path& file, const VioSetup& setup, double duration, bool verbose,
-               double begin = 0) {
-  Vio vio(setup.options, setup.camera, setup.extrinsics);
-  Result result;
+// Feeds a log to the odometry, all time stamps later by `later` (microseconds); returns the last of them.
+int64_t feed_log(const std::filesystem::path& file, Vio& vio, Result& result, double duration, bool verbose,
+                 double begin, int64_t later) {
   LogReader reader(file);
   std::optional<EnuFrame> frame;
-  int64_t first = 0;
+  int64_t first = 0, last = 0;
   while (const auto event = reader.next()) {
     if (first == 0) first = event->utime;
     const double age = 1e-6 * static_cast<double>(event->utime - first) - begin;
     if (age > duration) break;
     if (age < 0) continue;
+    last = std::max(last, event->utime + later);
     if (event->channel == channel::kImu) {
       if (const auto imu = event->decode<imu_t>()) {
         ImuSample sample;
-        sample.utime = imu->utime;
+        sample.utime = imu->utime + later;
         sample.gyro = Eigen::Map<const Eigen::Vector3d>(imu->angular_rate);
         sample.accel = Eigen::Map<const Eigen::Vector3d>(imu->specific_force);
         vio.feed_imu(sample);
@@ -88,20 +94,32 @@ Result run_log(const std::filesystem::path& file, const VioSetup& setup, double 
     } else if (event->channel == channel::kCamera) {
       if (const auto image = event->decode<image_t>()) {
         const DecodedImage decoded = decode_image(*image);
-        if (decoded.ok()) vio.feed_image(image->utime, decoded.grey);
+        if (decoded.ok()) vio.feed_image(image->utime + later, decoded.grey);
+      }
+    } else if (event->channel == channel::kAltitude) {
+      if (const auto altitude = event->decode<altitude_t>()) {
+        vio.feed_altitude(altitude->utime + later, altitude->height_above_ground, altitude->stddev);
       }
     } else if (event->channel == channel::kTruth) {
       if (const auto truth = event->decode<truth_t>()) {
         const Geodetic position{truth->latitude_deg, truth->longitude_deg, truth->ellipsoidal_height};
         if (!frame) frame.emplace(position);
         const double* q = truth->q_ENU_B;
-        result.truth[truth->utime] = {frame->to_enu(position), {q[0], q[1], q[2], q[3]}};
-        result.height[truth->utime] = truth->height_above_ground;
+        result.truth[truth->utime + later] = {frame->to_enu(position), {q[0], q[1], q[2], q[3]}};
+        result.height[truth->utime + later] = truth->height_above_ground;
       }
     }
     run_pending(vio, result, verbose);
   }
   result.counters = vio.counters();
+  return last;
+}
+
+Result run_log(const std::filesystem::path& file, const VioSetup& setup, double duration, bool verbose,
+               double begin = 0) {
+  Vio vio(setup.options, setup.camera, setup.extrinsics);
+  Result result;
+  feed_log(file, vio, result, duration, verbose, begin, 0);
   return result;
 }
 
@@ -119,37 +137,10 @@ std::vector<std::vector<std::string>> read_csv(const std::filesystem::path& file
   return rows;
 }
 
-YAML::Node read_sensor(const std::filesystem::path& file) {
-  std::ifstream in(file);
-  std::string text, line;
-  while (std::getline(in, line)) {
-    if (!line.empty() && line[0] != '%') text += line + "\n";
-  }
-  return YAML::Load(text);
-}
-
 Result run_asl(const std::filesystem::path& folder, const VioOptions& base, double duration, bool verbose) {
   const auto mav = folder / "mav0";
-  const YAML::Node cam = read_sensor(mav / "cam0/sensor.yaml"), imu = read_sensor(mav / "imu0/sensor.yaml");
-  CameraParameters parameters;
-  parameters.width = cam["resolution"][0].as<int>();
-  parameters.height = cam["resolution"][1].as<int>();
-  parameters.fx = cam["intrinsics"][0].as<double>();
-  parameters.fy = cam["intrinsics"][1].as<double>();
-  parameters.cx = cam["intrinsics"][2].as<double>();
-  parameters.cy = cam["intrinsics"][3].as<double>();
-  if (cam["distortion_model"].as<std::string>() == "equidistant") parameters.model = LensModel::kEquidistant;
-  for (size_t k = 0; k < 4; ++k) parameters.distortion[k] = cam["distortion_coefficients"][k].as<double>();
-  Extrinsics extrinsics;
-  for (int r = 0; r < 3; ++r) {
-    for (int c = 0; c < 3; ++c) extrinsics.R_B_C(r, c) = cam["T_BS"]["data"][4 * r + c].as<double>();
-    extrinsics.p_B_C[r] = cam["T_BS"]["data"][4 * r + 3].as<double>();
-  }
-  extrinsics.R_B_C = Eigen::Quaterniond(extrinsics.R_B_C).normalized().toRotationMatrix();
-  VioOptions options = base;
-  options.imu = {imu["gyroscope_noise_density"].as<double>(), imu["gyroscope_random_walk"].as<double>(),
-                 imu["accelerometer_noise_density"].as<double>(), imu["accelerometer_random_walk"].as<double>()};
-  Vio vio(options, CameraModel(parameters), extrinsics);
+  const VioSetup setup = load_asl_setup(folder, base);
+  Vio vio(setup.options, setup.camera, setup.extrinsics);
   Result result;
   const auto images = read_csv(mav / "cam0/data.csv"), samples = read_csv(mav / "imu0/data.csv");
   for (const auto& row : read_csv(mav / "state_groundtruth_estimate0/data.csv")) {
@@ -198,8 +189,34 @@ double rmse(const Similarity& fit, const std::vector<Eigen::Vector3d>& from, con
   return root_mean_square(errors);
 }
 
+// When sessions ended, and why.
+std::string restarts(const Result& result) {
+  std::string text;
+  int session = 0;
+  for (const VioOutput& output : result.outputs) {
+    if (session != 0 && output.session != session) {
+      char line[300];
+      std::snprintf(line, sizeof line, "\n    at %.1f s: %s",
+                    1e-6 * static_cast<double>(output.utime - result.outputs.front().utime),
+                    output.reason.empty() ? "published anew" : output.reason.c_str());
+      text += line;
+    }
+    session = output.session;
+  }
+  return text;
+}
+
+double mean(const std::vector<double>& values) {
+  double sum = 0;
+  for (const double value : values) sum += value;
+  return values.empty() ? std::numeric_limits<double>::quiet_NaN() : sum / static_cast<double>(values.size());
+}
+
 void report(const std::string& name, const Result& result, const std::filesystem::path& dump) {
   std::map<int, std::pair<std::vector<Eigen::Vector3d>, std::vector<Eigen::Vector3d>>> sessions;
+  std::map<int, std::vector<Eigen::Quaterniond>> attitudes, true_attitudes;
+  std::optional<Keyframe> last_keyframe;
+  Pose last_keyframe_truth{Eigen::Vector3d::Zero(), Eigen::Quaterniond::Identity()};
   std::vector<double> ms, drift, nees;
   int64_t start = 0;
   for (size_t i = 0; i < result.outputs.size(); ++i) {
@@ -211,6 +228,20 @@ void report(const std::string& name, const Result& result, const std::filesystem
     if (!truth) continue;
     sessions[output.session].first.emplace_back(output.state.p());
     sessions[output.session].second.push_back(truth->p);
+    attitudes[output.session].emplace_back(output.state.q());
+    true_attitudes[output.session].push_back(truth->q);
+    if (!output.keyframe) continue;
+    const Keyframe& keyframe = *output.keyframe;
+    if (last_keyframe && keyframe.relative_covariance.allFinite()) {
+      const StateValues &a = last_keyframe->state, &b = keyframe.state;
+      const Pose& true_a = last_keyframe_truth;
+      Eigen::Matrix<double, 6, 1> error;
+      error << a.q().conjugate() * (b.p() - a.p()) - true_a.q.conjugate() * (truth->p - true_a.p),
+          so3_log((true_a.q.conjugate() * truth->q).conjugate() * (a.q().conjugate() * b.q()));
+      nees.push_back(error.dot(keyframe.relative_covariance.ldlt().solve(error)) / 6);
+    }
+    last_keyframe = keyframe;
+    last_keyframe_truth = *truth;
   }
   if (sessions.empty() || result.outputs.empty()) {
     std::printf("%-28s never started (%s)\n", name.c_str(),
@@ -238,15 +269,21 @@ void report(const std::string& name, const Result& result, const std::filesystem
     per_session += text;
     std::vector<double> path(to.size(), 0.0);
     for (size_t i = 1; i < to.size(); ++i) path[i] = path[i - 1] + (to[i] - to[i - 1]).norm();
+    // What 100 m of flight add to the error of position, begun with the true position and yaw.
     for (size_t i = 0, j = 0; i < to.size(); i += 10) {
       while (j < to.size() && path[j] - path[i] < 100) ++j;
       if (j >= to.size()) break;
-      drift.push_back(std::abs((from[j] - from[i]).norm() / (to[j] - to[i]).norm() - 1.0));
+      const double turn = yaw_of(true_attitudes[session][i]) - yaw_of(attitudes[session][i]);
+      const Eigen::Vector3d way = Eigen::AngleAxisd(turn, Eigen::Vector3d::UnitZ()) * (from[j] - from[i]);
+      drift.push_back((way - (to[j] - to[i])).norm() / (path[j] - path[i]));
     }
   }
-  std::printf("%-28s sessions %d  start %.1f s%s  drift/100m %.2f %%  ms median %.1f p99 %.1f\n", name.c_str(),
-              result.outputs.back().session, 1e-6 * static_cast<double>(start - result.outputs.front().utime),
-              per_session.c_str(), 100 * median(drift), quantile(ms, 0.5), quantile(ms, 0.99));
+  std::printf(
+      "%-28s sessions %zu  start %.1f s%s  drift/100m %.2f %%  NEES of a keyframe's motion median %.2f mean %.2f  ms "
+      "median %.1f p99 %.1f  time offset %.2f ms%s\n",
+      name.c_str(), sessions.size(), 1e-6 * static_cast<double>(start - result.outputs.front().utime),
+      per_session.c_str(), 100 * median(drift), median(nees), mean(nees), quantile(ms, 0.5), quantile(ms, 0.99),
+      1e3 * result.outputs.back().time_offset, restarts(result).c_str());
   if (!dump.empty()) {
     std::ofstream out(dump);
     for (const VioOutput& output : result.outputs) {
@@ -260,14 +297,36 @@ void report(const std::string& name, const Result& result, const std::filesystem
   }
 }
 
+// The log again and again, as one long flight: what a frame costs and what the process holds, each time. Where the log
+// begins anew the camera and the IMU jump, and the odometry has to find out and restart.
+void report_loops(const std::filesystem::path& file, const VioSetup& setup, int loops, double duration) {
+  Vio vio(setup.options, setup.camera, setup.extrinsics);
+  int64_t later = 0;
+  for (int n = 0; n < loops; ++n) {
+    Result result;
+    const int64_t first = later;
+    const int64_t last = feed_log(file, vio, result, duration, false, 0, later);
+    const int64_t begun = result.outputs.empty() ? last : result.outputs.front().utime;
+    later = first + (last - begun) + 100'000;
+    long pages = 0, resident = 0;
+    std::ifstream("/proc/self/statm") >> pages >> resident;
+    std::printf("loop %d: %.0f s, ms median %.1f p99 %.1f, resident %.1f MB, restarts so far %.0f\n", n + 1,
+                1e-6 * static_cast<double>(last - begun), quantile(result.ms, 0.5), quantile(result.ms, 0.99),
+                static_cast<double>(resident) * 4096 / 1e6,
+                vio.counters().count("restarts") ? vio.counters().at("restarts") : 0.0);
+    std::fflush(stdout);
+  }
+}
+
 // How a session starts at many moments of a flight: time to the first state, and how far its height (that is, its
 // scale) is from the truth, then and five seconds later.
 void report_starts(const std::filesystem::path& file, const VioSetup& setup, int starts, double last) {
   std::vector<double> times, errors, later;
   int failed = 0;
+  std::mt19937 generator(1);
   for (int n = 0; n < starts; ++n) {
-    const double begin = last * n / starts;
-    const Result result = run_log(file, setup, 25, false, begin);
+    const double begin = std::uniform_real_distribution<double>(0, last)(generator);
+    const Result result = run_log(file, setup, 20, false, begin);
     double time = -1, error = 0, after = 0;
     int64_t start = 0;
     for (const VioOutput& output : result.outputs) {
@@ -312,7 +371,9 @@ int main(int argc, char** argv) {
   bool asl = false, verbose = false;
   double duration = 1e9, starts_until = 90;
   int starts = 0;
-  app.add_option("--starts", starts, "instead, start at this many moments of a flight log");
+  int loops = 0;
+  app.add_option("--loops", loops, "instead, run each flight log so many times as one long flight");
+  app.add_option("--starts", starts, "instead, start at this many random moments of a flight log");
   app.add_option("--starts-until", starts_until, "the last of these moments, s");
   app.add_option("--config", config, "configuration folder")->required();
   app.add_flag("--asl", asl, "the inputs are EuRoC/ASL folders");
@@ -325,6 +386,10 @@ int main(int argc, char** argv) {
   try {
     const vio::VioSetup setup = vio::load_setup(config);
     for (const auto& input : inputs) {
+      if (loops > 0) {
+        vio::report_loops(input, setup, loops, duration);
+        continue;
+      }
       if (starts > 0) {
         vio::report_starts(input, setup, starts, starts_until);
         continue;

@@ -149,7 +149,7 @@ TEST_F(VioServiceTest, SpeaksTheContractOfItsMessagesAndSurvivesBadOnes) {
   Node node({"vio"}, bus_);
   VioService service(node, folder_.path());
   const TexturedGround ground(60, 0.06, 1);
-  for (int k = 0; k <= 3000; ++k) {
+  for (int k = 0; k <= 3010; ++k) {  // past the last image by as much as the time offset may grow to
     const double t = 0.005 * k;
     if (k % 20 == 0) {
       const cv::Mat picture = ground.picture(flight_, t);

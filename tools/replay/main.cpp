@@ -12,17 +12,31 @@ int main(int argc, char** argv) {
   CLI::App app{"Flies a log through all services in one process, as fast as the machine allows, repeatably."};
   orthonav::replay::ReplayOptions options;
   bool timings = false;
-  app.add_option("--config", options.config, "folder of the aircraft or scenario, e.g. config/rural")
-      ->required()
+  app.add_option("--config", options.config,
+                 "folder of the aircraft or scenario, e.g. config/rural (with --asl: may be left out, for the odometry "
+                 "alone with its default parameters)")
       ->check(CLI::ExistingDirectory);
   auto* log = app.add_option("--log", options.log, "LCM log to fly")->check(CLI::ExistingFile);
-  auto* asl = app.add_option("--asl", options.asl, "EuRoC/ASL folder to fly")->check(CLI::ExistingDirectory);
+  auto* asl = app.add_option("--asl", options.asl, "EuRoC/ASL folder to fly, with the calibration in it")
+                  ->check(CLI::ExistingDirectory);
   log->excludes(asl);
   app.add_option("--map", options.map, "map: a raster or a database of orthonav-build-map (default: odometry alone)")
       ->check(CLI::ExistingFile);
-  app.add_option("--out", options.out, "LCM log to write: the sensors and everything the services said")->required();
+  app.add_option("--out", options.out, "LCM log to write: the sensors and everything the services said");
+  app.add_option("--trajectory", options.trajectory,
+                 "the odometry's trajectory to write, in TUM's format (default with --asl: vio.tum)");
+  app.add_option("--times", options.times,
+                 "table to write of each image's processing time (default with --asl: vio-times.csv)");
   app.add_flag("--timings", timings, "fill in the processing times, which makes the output differ from run to run");
   CLI11_PARSE(app, argc, argv);
+  if (!options.asl.empty()) {
+    if (options.trajectory.empty()) options.trajectory = "vio.tum";
+    if (options.times.empty()) options.times = "vio-times.csv";
+  } else if (options.log.empty() || options.config.empty() || options.out.empty()) {
+    std::fprintf(stderr, "orthonav-replay: give --asl, or --log with --config and --out\n");
+    return 2;
+  }
+  timings = timings || !options.times.empty();
   spdlog::set_default_logger(spdlog::stderr_color_mt("replay"));
   orthonav::Stopwatch::enable_in_replay(timings);
   options.progress = [](double fraction) { std::fprintf(stderr, "\r  replaying: %3.0f %%", 100 * fraction); };
@@ -31,8 +45,12 @@ int main(int argc, char** argv) {
     const auto summary = orthonav::replay::replay(options);
     const double elapsed = std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
     std::fprintf(stderr, "\r");
-    std::printf("%.1f s of flight replayed in %.1f s; %lld messages in %s\n", summary.flight_seconds, elapsed,
-                static_cast<long long>(summary.messages), options.out.c_str());
+    std::printf("%.1f s of flight replayed in %.1f s; %lld messages", summary.flight_seconds, elapsed,
+                static_cast<long long>(summary.messages));
+    for (const auto& file : {options.out, options.trajectory, options.times}) {
+      if (!file.empty()) std::printf(", %s", file.c_str());
+    }
+    std::printf("\n");
   } catch (const std::exception& error) {
     std::fprintf(stderr, "orthonav-replay: %s\n", error.what());
     return 1;

@@ -11,11 +11,14 @@
 namespace orthonav::replay {
 
 struct ReplayOptions {
-  std::filesystem::path config;                   // folder of the aircraft or scenario
+  std::filesystem::path config;                   // folder of the aircraft or scenario; may be empty with `asl`: the
+                                                  // odometry alone, with its default parameters
   std::filesystem::path log;                      // an LCM log, or
-  std::filesystem::path asl;                      // an EuRoC/ASL folder
+  std::filesystem::path asl;                      // an EuRoC/ASL folder, whose calibration the odometry takes
   std::filesystem::path map;                      // raster or map database; empty: odometry alone
-  std::filesystem::path out;                      // LCM log of everything that was on the bus
+  std::filesystem::path out;                      // LCM log of everything that was on the bus; empty: none
+  std::filesystem::path trajectory;               // the odometry's states in TUM's format; empty: none
+  std::filesystem::path times;                    // CSV, a line per image: what the odometry made of it; empty: none
   std::function<void(double fraction)> progress;  // called about once per second of flight; may be empty
 };
 

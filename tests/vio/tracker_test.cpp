@@ -1,0 +1,178 @@
+// The front end on images that are broken in the ways that images are.
+#include "services/vio/tracker.h"
+
+#include <functional>
+#include <map>
+#include <set>
+
+#include <gtest/gtest.h>
+#include <opencv2/imgproc.hpp>
+
+#include "common/math/so3.h"
+#include "tests/vio/simulated_flight.h"
+
+namespace orthonav::vio {
+namespace {
+
+const TexturedGround& ground() {
+  static const TexturedGround instance(60, 0.06, 2);
+  return instance;
+}
+
+const Trajectory& flight() {
+  static const Trajectory instance = survey_flight(40, 3.0);
+  return instance;
+}
+
+Eigen::Matrix3d camera_turn(double from, double to) {
+  const Eigen::Matrix3d R_B_C = downward_camera().R_B_C;
+  return (flight().attitude(to).toRotationMatrix() * R_B_C).transpose() * flight().attitude(from).toRotationMatrix() *
+         R_B_C;
+}
+
+using Change = std::function<cv::Mat(int, const cv::Mat&)>;
+
+// Runs 20 frames; of those after frame 10, the share of features that frame 9 had too, and the errors of the tracks.
+struct Outcome {
+  size_t before = 0, kept = 0, last = 0;
+  double worst = 0;  // pixels
+};
+
+Outcome run(const Change& change) {
+  Tracker tracker(test_camera(), {});
+  std::map<int64_t, Eigen::Vector3d> where;  // first sight on the ground
+  std::set<int64_t> ids;
+  Outcome result;
+  for (int k = 0; k < 20; ++k) {
+    const double t = 0.1 * k;
+    const auto& features = tracker.track(change(k, ground().picture(flight(), t)),
+                                         k == 0 ? Eigen::Matrix3d::Identity() : camera_turn(t - 0.1, t), true);
+    const Eigen::Quaterniond q = flight().attitude(t);
+    const Eigen::Vector3d p_C = flight().position(t) + q * downward_camera().p_B_C;
+    for (const TrackedFeature& feature : features) {
+      if (where.count(feature.id) == 0) {
+        const Eigen::Vector3d ray = q * (downward_camera().R_B_C * feature.ray);
+        where[feature.id] = p_C - p_C.z() / ray.z() * ray;
+      }
+      const Eigen::Vector3d seen = downward_camera().R_B_C.transpose() * (q.conjugate() * (where[feature.id] - p_C));
+      result.worst = std::max(result.worst, (*test_camera().project(seen) - feature.pixel).norm());
+    }
+    if (k == 9) {
+      for (const TrackedFeature& feature : features) ids.insert(feature.id);
+      result.before = ids.size();
+    }
+    if (k == 19) {
+      for (const TrackedFeature& feature : features) result.kept += ids.count(feature.id);
+      result.last = features.size();
+    }
+  }
+  return result;
+}
+
+TEST(Tracker, FollowsFeaturesToAFractionOfAPixel) {
+  const Outcome result = run([](int, const cv::Mat& image) { return image; });
+  EXPECT_GT(result.before, 120u);
+  EXPECT_GT(2 * result.kept, result.before);
+  EXPECT_LT(result.worst, 2.0);
+}
+
+TEST(Tracker, SurvivesAJumpOfTheExposure) {
+  const Outcome result = run([](int k, const cv::Mat& image) {
+    cv::Mat out;
+    image.convertTo(out, CV_8U, k >= 10 ? 0.55 : 1.0, k >= 10 ? 25 : 0);
+    return out;
+  });
+  EXPECT_GT(2 * result.kept, result.before);
+}
+
+TEST(Tracker, PassesOverABlurredImageAndAFlash) {
+  const Outcome clean = run([](int, const cv::Mat& image) { return image; });
+  const Outcome result = run([](int k, const cv::Mat& image) {
+    cv::Mat out = image;
+    if (k == 11) cv::GaussianBlur(image, out, {}, 25);
+    if (k == 14) out = cv::Mat(image.size(), CV_8U, cv::Scalar(255));
+    return out;
+  });
+  EXPECT_GT(result.kept, clean.kept / 2);
+  EXPECT_LT(result.worst, 3.0);
+}
+
+TEST(Tracker, FollowsDespiteAWrongGyroscope) {
+  Tracker tracker(test_camera(), {});
+  size_t kept = 0;
+  std::set<int64_t> ids;
+  for (int k = 0; k < 8; ++k) {
+    const double t = 0.1 * k;
+    const auto& features =
+        tracker.track(ground().picture(flight(), t), so3_exp({0.3, -0.2, 0.4}).toRotationMatrix(), false);
+    if (k == 2) {
+      for (const TrackedFeature& feature : features) ids.insert(feature.id);
+    }
+    if (k == 7) {
+      for (const TrackedFeature& feature : features) kept += ids.count(feature.id);
+    }
+  }
+  EXPECT_GT(2 * kept, ids.size());
+}
+
+// Whatever the image shows, the work is bounded: by the features, which are bounded, and the cells, which are.
+TEST(Tracker, BoundsItsFeaturesOnWaterHazeAndNight) {
+  cv::RNG random(1);
+  const auto noise = [&](double level, double sigma) {
+    cv::Mat out(480, 640, CV_8U);
+    random.fill(out, cv::RNG::NORMAL, level, sigma);
+    return out;
+  };
+  const std::map<std::string, std::function<cv::Mat(int)>> scenes = {
+      {"night", [&](int) { return noise(4, 1.2); }},
+      {"haze",
+       [&](int k) {
+         cv::Mat out;
+         ground().picture(flight(), 0.1 * k).convertTo(out, CV_8U, 0.02, 150);
+         return out;
+       }},
+      {"water",
+       [&](int) {
+         cv::Mat out = noise(90, 40);
+         cv::GaussianBlur(out, out, {}, 3);
+         return out;
+       }},
+      {"snow", [&](int) { return noise(128, 60); }},
+  };
+  for (const auto& [name, scene] : scenes) {
+    Tracker tracker(test_camera(), {});
+    size_t steady = 0;
+    int64_t newest = 0;
+    for (int k = 0; k < 12; ++k) {
+      const auto& features = tracker.track(scene(k), Eigen::Matrix3d::Identity(), true);
+      EXPECT_LE(features.size(), static_cast<size_t>(TrackerOptions{}.max_features)) << name;
+      if (k == 11) {
+        for (const TrackedFeature& feature : features) {
+          steady += feature.id < newest ? 1 : 0;
+        }
+      }
+      for (const TrackedFeature& feature : features) newest = std::max(newest, feature.id);
+    }
+    // Nothing of these scenes can be followed, and nothing is said to be.
+    if (name != "haze") {
+      EXPECT_LT(steady, 30u) << name;
+    }
+  }
+}
+
+TEST(Tracker, SpreadsFeaturesOverTheImage) {
+  Tracker tracker(test_camera(), {});
+  cv::Mat image = ground().picture(flight(), 0);
+  // One corner of the image has ten times the contrast of the rest.
+  cv::Mat faint;
+  image.convertTo(faint, CV_8U, 0.3, 90);
+  image(cv::Rect(0, 0, 160, 120)).copyTo(faint(cv::Rect(0, 0, 160, 120)));
+  int quadrants[4] = {};
+  for (const TrackedFeature& feature : tracker.track(faint, Eigen::Matrix3d::Identity(), true)) {
+    ++quadrants[(feature.pixel.x() > 320 ? 1 : 0) + (feature.pixel.y() > 240 ? 2 : 0)];
+  }
+  for (const int count : quadrants) EXPECT_GT(count, 20);
+}
+
+}  // namespace
+}  // namespace orthonav::vio
