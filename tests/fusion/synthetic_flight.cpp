@@ -120,13 +120,11 @@ SyntheticFlight make_flight(const SyntheticOptions& options, uint64_t seed) {
         const bool single = !in_run && dice.uniform() < options.single_wrong_rate;
         const Eigen::Vector3d offset =
             in_run ? run_offset : (single ? far() : Eigen::Vector3d(Eigen::Vector3d::Zero()));
-        // The fix stands off the ground (z = 0) by the odometry's height.
-        const Eigen::Vector3d step_back(0.0, 0.0, keyframe.height_above_ground - p_G_B.z());
         Fix fix;
         fix.utime = utime;
         fix.session = 1;
         fix.keyframe_id = keyframe.id;
-        fix.position = frame.to_geodetic(p_G_B + step_back + offset + shared +
+        fix.position = frame.to_geodetic(p_G_B + offset + shared +
                                          dice.normal3(options.fix_stddev, options.fix_vertical_stddev));
         fix.anchor = flight.anchor;
         fix.covariance = Eigen::Vector3d(options.fix_stddev, options.fix_stddev, options.fix_vertical_stddev)

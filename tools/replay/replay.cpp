@@ -63,7 +63,7 @@ ReplaySummary replay(const ReplayOptions& options) {
     services.push_back(std::make_unique<registration::RegistrationService>(node("registration"), options.config));
   }
   services.push_back(std::make_unique<vio::VioService>(node("vio"), options.config));
-  services.push_back(std::make_unique<FusionService>(node("fusion"), options.config));
+  services.push_back(std::make_unique<fusion::FusionService>(node("fusion"), options.config));
 
   const auto settle = [&] {
     while (bus.handleTimeout(0) > 0) {
