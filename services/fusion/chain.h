@@ -67,7 +67,7 @@ class Chain {
 
  private:
   std::deque<Quadratic> own_;
-  std::deque<PairQuadratic> tie_;  // tie_[k] ties k - 1 and k
+  std::deque<PairQuadratic> tie_;    // tie_[k] ties k - 1 and k
   std::deque<Elimination> forward_;  // forward_[k]: of node k - 1
 };
 

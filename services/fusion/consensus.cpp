@@ -28,8 +28,7 @@ double disagreement(const Sighting& a, const Sighting& b, const FusionOptions& o
                          options.fix.shared_vertical_stddev);
   shared = forgotten * shared.cwiseAbs2();
   const double scale_stddev = options.edge.scale_stddev;
-  Eigen::Matrix3d covariance = a.covariance + b.covariance +
-                               yaw_stddev * yaw_stddev * sideways * sideways.transpose() +
+  Eigen::Matrix3d covariance = a.covariance + b.covariance + yaw_stddev * yaw_stddev * sideways * sideways.transpose() +
                                scale_stddev * scale_stddev * moved * moved.transpose();
   covariance.diagonal() += shared;
   const Eigen::Vector3d error = (b.p_G_B - a.p_G_B) - moved;
@@ -40,9 +39,7 @@ std::optional<Consensus> find_consensus(const std::vector<Sighting>& sightings, 
                                         const FusionOptions& options) {
   if (sightings.empty()) return std::nullopt;
   const double limit = options.gate.agreement * options.gate.agreement;
-  auto agree = [&](size_t a, size_t b) {
-    return a == b || disagreement(sightings[a], sightings[b], options) < limit;
-  };
+  auto agree = [&](size_t a, size_t b) { return a == b || disagreement(sightings[a], sightings[b], options) < limit; };
   // Those that agree with the newest; mostly too few, and the search ends here.
   std::vector<size_t> near;
   for (size_t i = 0; i < sightings.size(); ++i) {

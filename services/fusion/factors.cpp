@@ -64,7 +64,7 @@ StateVector heading_jacobian(const HeadingMeasurement& measurement, const NodeSt
   if (squared < 1e-6) return J;
   const Eigen::Matrix3d dx = -skew(x_axis) * rotation_jacobian(node);
   J.segment<3>(kYaw) = -(x_axis.x() * dx.row(1) - x_axis.y() * dx.row(0)).transpose() / squared;
-  if (measurement.biased) J(kCompass) = 1.0;
+  if (measurement.biased) J(kCompassBias) = 1.0;
   return J;
 }
 
@@ -112,6 +112,15 @@ Quadratic linearise(const HeadingMeasurement& measurement, const NodeState& node
   Quadratic cost;
   cost.H = weight * J * J.transpose();
   cost.b = weight * r * J;
+  return cost;
+}
+
+Quadratic linearise(const ScaleMeasurement& measurement, const NodeState& node, double huber) {
+  const double r = (node.log_scale() - measurement.log_scale) / measurement.stddev;
+  const double weight = huber_weight(std::abs(r), huber);
+  Quadratic cost;
+  cost.H(kScale, kScale) = weight / (measurement.stddev * measurement.stddev);
+  cost.b(kScale) = weight * r / measurement.stddev;
   return cost;
 }
 

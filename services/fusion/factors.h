@@ -30,10 +30,16 @@ struct PositionMeasurement {
 
 // A true heading of the body's x axis, clockwise from north: heading + bias - measured.
 struct HeadingMeasurement {
-  double heading = 0.0;  // rad
-  double stddev = 1.0;   // rad
-  bool biased = true;    // by the compass's bias
+  double heading = 0.0;                                 // rad
+  double stddev = 1.0;                                  // rad
+  bool biased = true;                                   // by the compass's bias
   Eigen::Vector3d x_axis_W = Eigen::Vector3d::UnitX();  // the body's x axis in the odometry's world
+};
+
+// The logarithm of the odometry's scale, as a fix fitted it.
+struct ScaleMeasurement {
+  double log_scale = 0.0;
+  double stddev = 1.0;
 };
 
 // A Gaussian about a node: what is left of the nodes before it, or a first guess. 1/2 d^T H d + b^T d in d = x - point.
@@ -60,6 +66,7 @@ PairQuadratic linearise(const Transition& transition, const NodeState& i, const 
 // `huber`: standard deviations from which the residual's norm counts linearly, equation (15).
 Quadratic linearise(const PositionMeasurement& measurement, const NodeState& node, double huber);
 Quadratic linearise(const HeadingMeasurement& measurement, const NodeState& node, double huber);
+Quadratic linearise(const ScaleMeasurement& measurement, const NodeState& node, double huber);
 Quadratic linearise(const Prior& prior, const NodeState& node);
 
 }  // namespace orthonav::fusion

@@ -163,7 +163,7 @@ void Fusion::append(const Waypoint& waypoint) {
     ++compass_rejected_;
     return;
   }
-  graph_->add_heading(waypoint.keyframe.id, measurement.heading, noise, true);
+  graph_->add_compass(waypoint.keyframe.id, measurement.heading, noise);
 }
 
 double Fusion::scale() const {

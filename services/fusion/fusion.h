@@ -115,13 +115,13 @@ class Fusion {
   std::optional<Located> rival_;       // where those agree to be, moved on to the newest node
   int64_t rival_utime_ = 0;
   int rival_fixes_ = 0;
-  int believed_ = 0;                 // fixes since the lock
+  int believed_ = 0;                                          // fixes since the lock
   Eigen::Vector3d confirmed_from_ = Eigen::Vector3d::Zero();  // p_W_B of the first of them
   double confirmed_span_ = 0.0;                               // m from there to the furthest other
   int num_fixes_ = 0;
   int64_t newest_fix_utime_ = 0;
-  Estimate newest_;              // of the newest node
-  Protection level_;             // there
+  Estimate newest_;   // of the newest node
+  Protection level_;  // there
   std::optional<Solution> last_located_;
 
   // While the odometry restarts.

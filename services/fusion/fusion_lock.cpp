@@ -63,7 +63,7 @@ std::optional<Sighting> Fusion::sight(const Fix& fix, Outcome& refused) const {
   sighting.covariance = *covariance;
   sighting.yaw_G_W = wrap_angle(yaw_from_heading(fix.heading) - yaw_from_heading(heading_of(keyframe.q_W_B)));
   const double stddev = fix.heading_stddev > 0.0 ? fix.heading_stddev : options_.compass.fix_stddev;
-  sighting.yaw_stddev = std::max(stddev, options_.compass.bias_stddev);
+  sighting.yaw_stddev = fix.heading_fitted ? stddev : std::max(stddev, options_.compass.bias_stddev);
   return sighting;
 }
 
@@ -168,7 +168,7 @@ void Fusion::lock(const std::vector<Sighting>& members) {
     // Before the fixes have turned the graph there is no test that a reading could fail.
     const Waypoint& waypoint = next->second;
     if (waypoint.compass) {
-      graph_->add_heading(waypoint.keyframe.id, waypoint.compass->heading, compass_noise(*waypoint.compass), true);
+      graph_->add_compass(waypoint.keyframe.id, waypoint.compass->heading, compass_noise(*waypoint.compass));
     }
     if (++next == waypoints_.end()) break;
     graph_->append(next->second.keyframe);
@@ -201,7 +201,17 @@ bool Fusion::within_gate(const Sighting& sighting) const {
 }
 
 void Fusion::use(const Sighting& sighting) {
-  graph_->add_position(sighting.keyframe.id, sighting.p_G_B, sighting.covariance);
+  const int id = sighting.keyframe.id;
+  const Fix& fix = sighting.fix;
+  graph_->add_position(id, sighting.p_G_B, sighting.covariance);
+  // So that neighbours that look at the same points do not count as if each looked at its own.
+  const double shared = std::sqrt(static_cast<double>(std::max(1, fix.num_keyframes)));
+  if (fix.heading_fitted && fix.heading_stddev > 0.0) {
+    graph_->add_map_heading(id, fix.heading, shared * fix.heading_stddev);
+  }
+  if (fix.scale > 0.1 && fix.scale < 10.0 && fix.scale_stddev > 0.0) {
+    graph_->add_scale(id, std::log(fix.scale), shared * fix.scale_stddev / fix.scale);
+  }
   if (believed_ == 0) confirmed_from_ = sighting.keyframe.p_W_B;
   confirmed_span_ = std::max(confirmed_span_, (sighting.keyframe.p_W_B - confirmed_from_).norm());
   ++believed_;

@@ -38,8 +38,8 @@ void Inertial::rebase(const InertialState& state, const Eigen::Vector3d& gyro_bi
 }
 
 Outcome Inertial::add(const ImuSample& sample) {
-  if (!sample.angular_rate.allFinite() || !sample.specific_force.allFinite() ||
-      sample.angular_rate.norm() > kFastest || sample.specific_force.norm() > kHardest) {
+  if (!sample.angular_rate.allFinite() || !sample.specific_force.allFinite() || sample.angular_rate.norm() > kFastest ||
+      sample.specific_force.norm() > kHardest) {
     return Outcome::kBadNumber;
   }
   if (!samples_.empty() && sample.utime <= samples_.back().utime) return Outcome::kOutOfOrder;

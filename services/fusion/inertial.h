@@ -2,8 +2,8 @@
 // seconds in which the odometry restarts.
 //
 // Strapdown integration in G (midpoint rule, constant gravity) from the newest odometry state; samples that came
-// before that state are integrated again, so a late state costs nothing. The covariance grows by the sensor's noise and by
-// what is unknown of its biases.
+// before that state are integrated again, so a late state costs nothing. The covariance grows by the sensor's noise and
+// by what is unknown of its biases.
 //
 // Deterministic; not thread-safe.
 #pragma once

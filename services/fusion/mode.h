@@ -18,14 +18,14 @@ namespace orthonav::fusion {
 
 // What the mode depends on, at one instant.
 struct Evidence {
-  int64_t utime = 0;            // microseconds
-  bool odometry = false;        // there is a pose, of the odometry or of the inertial sensor
-  bool located = false;         // it is a pose on the map
-  bool blind = false;           // the inertial sensor alone carries it
-  bool contradicted = false;    // fixes agree with each other on another place, and none with this one
-  double level = kUnknown;      // m, horizontal protection level; NaN: no bound known
+  int64_t utime = 0;                 // microseconds
+  bool odometry = false;             // there is a pose, of the odometry or of the inertial sensor
+  bool located = false;              // it is a pose on the map
+  bool blind = false;                // the inertial sensor alone carries it
+  bool contradicted = false;         // fixes agree with each other on another place, and none with this one
+  double level = kUnknown;           // m, horizontal protection level; NaN: no bound known
   double time_since_fix = kUnknown;  // s
-  int moves = 0;                // times that the position was moved to another place on the map, first lock included
+  int moves = 0;  // times that the position was moved to another place on the map, first lock included
 };
 
 class ModeMachine {

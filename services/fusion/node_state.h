@@ -17,12 +17,12 @@ using StateVector = Eigen::Matrix<double, kStates, 1>;
 using StateMatrix = Eigen::Matrix<double, kStates, kStates>;
 
 // Where each variable stands in the vector.
-inline constexpr int kPosition = 0;  // p_G_B, m (3)
-inline constexpr int kYaw = 3;       // of W in G, rad, counter-clockwise, not wrapped: the odometry's heading offset
-inline constexpr int kTilt = 4;      // of W in G, about its x and y axes, rad (2)
-inline constexpr int kScale = 6;     // logarithm of true displacement over the odometry's
-inline constexpr int kCompass = 7;   // compass's heading minus the true one, rad, clockwise
-inline constexpr int kShared = 8;    // what neighbouring fixes are all off by, in G, m (3); up: the vertical offset
+inline constexpr int kPosition = 0;     // p_G_B, m (3)
+inline constexpr int kYaw = 3;          // of W in G, rad, counter-clockwise, not wrapped: the odometry's heading offset
+inline constexpr int kTilt = 4;         // of W in G, about its x and y axes, rad (2)
+inline constexpr int kScale = 6;        // logarithm of true displacement over the odometry's
+inline constexpr int kCompassBias = 7;  // compass's heading minus the true one, rad, clockwise
+inline constexpr int kShared = 8;       // what neighbouring fixes are all off by, in G, m (3); up: the vertical offset
 
 struct NodeState {
   StateVector x = StateVector::Zero();
@@ -30,7 +30,7 @@ struct NodeState {
   Eigen::Vector3d p() const { return x.segment<3>(kPosition); }
   double yaw() const { return x(kYaw); }
   double log_scale() const { return x(kScale); }
-  double compass_bias() const { return x(kCompass); }
+  double compass_bias() const { return x(kCompassBias); }
   Eigen::Vector3d shared() const { return x.segment<3>(kShared); }
   // Rotation vector about W's axes, without a yaw.
   Eigen::Vector3d tilt() const { return Eigen::Vector3d(x(kTilt), x(kTilt + 1), 0.0); }

@@ -7,15 +7,15 @@ namespace orthonav::fusion {
 
 // How well the odometry knows the motion from one keyframe to the next.
 struct EdgeOptions {
-  double position_walk = 9e-4;               // of the height above ground, per axis and square root of a second
-  double default_height = 150.0;             // m, where the height above ground is unknown
-  double yaw_walk = 0.00026;                 // rad per square root of a second
-  bool use_odometry_covariance = true;       // in place of the above where the keyframe carries one, if it is larger
-  double tilt_stddev = 0.005;                // rad, of W's "up"
-  double tilt_time = 60.0;                   // s, over which the tilt forgets
-  double scale_stddev = 0.02;                // of the odometry's scale, as a fraction
-  double scale_time = 120.0;                 // s, over which it forgets
-  double velocity_stddev = 3.2e-4;           // 1/s, of the odometry's velocity per axis, over the height above ground
+  double position_walk = 9e-4;          // of the height above ground, per axis and square root of a second
+  double default_height = 150.0;        // m, where the height above ground is unknown
+  double yaw_walk = 0.00026;            // rad per square root of a second
+  bool use_odometry_covariance = true;  // in place of the above where the keyframe carries one, if it is larger
+  double tilt_stddev = 0.005;           // rad, of W's "up"
+  double tilt_time = 60.0;              // s, over which the tilt forgets
+  double scale_stddev = 0.02;           // of the odometry's scale, as a fraction
+  double scale_time = 120.0;            // s, over which it forgets
+  double velocity_stddev = 3.2e-4;      // 1/s, of the odometry's velocity per axis, over the height above ground
 };
 
 // How well a fix is known.
@@ -40,14 +40,14 @@ struct CompassOptions {
 
 // When fixes are believed.
 struct GateOptions {
-  int memory = 100;              // newest fixes, believed or not, that are searched for agreement
-  int lock_fixes = 4;            // fixes that must agree with each other before the first position
-  double lock_distance = 12.0;   // m of way that they must span: a wrong place seldom moves with the aircraft for long
-  int lock_margin = 2;           // by how many they must outnumber those that agree on another place
-  int relock_fixes = 5;          // the same, at least, to move a solution; they must outnumber all that were believed,
-  double lost_after = 45.0;      // or none was believed for so many seconds
-  double agreement = 3.0;        // Mahalanobis distance below which two fixes agree about the motion between them
-  double innovation = 4.0;       // Mahalanobis distance from the solution above which a fix is an outlier
+  int memory = 100;             // newest fixes, believed or not, that are searched for agreement
+  int lock_fixes = 4;           // fixes that must agree with each other before the first position
+  double lock_distance = 12.0;  // m of way that they must span: a wrong place seldom moves with the aircraft for long
+  int lock_margin = 2;          // by how many they must outnumber those that agree on another place
+  int relock_fixes = 5;         // the same, at least, to move a solution; they must outnumber all that were believed,
+  double lost_after = 45.0;     // or none was believed for so many seconds
+  double agreement = 3.0;       // Mahalanobis distance below which two fixes agree about the motion between them
+  double innovation = 4.0;      // Mahalanobis distance from the solution above which a fix is an outlier
 };
 
 // Bounds of the error that hold though fixes may be wrong.
@@ -60,13 +60,13 @@ struct ProtectionOptions {
 
 // Propagation by the inertial sensor between odometry states, and while the odometry restarts.
 struct InertialOptions {
-  double gravity = 9.81;             // m/s^2; aircraft.yaml, imu
-  double accel_noise = 2e-3;         // m/s^2/sqrt(Hz); aircraft.yaml, imu
-  double gyro_noise = 1.7e-4;        // rad/s/sqrt(Hz); aircraft.yaml, imu
-  double accel_bias_stddev = 0.05;   // m/s^2, of the bias that the odometry gives
-  double gyro_bias_stddev = 0.001;   // rad/s, of the bias that the odometry gives
-  double max_gap = 0.05;             // s without a sample: what follows cannot be integrated
-  double max_time = 10.0;            // s without an odometry state after which there is no position
+  double gravity = 9.81;            // m/s^2; aircraft.yaml, imu
+  double accel_noise = 2e-3;        // m/s^2/sqrt(Hz); aircraft.yaml, imu
+  double gyro_noise = 1.7e-4;       // rad/s/sqrt(Hz); aircraft.yaml, imu
+  double accel_bias_stddev = 0.05;  // m/s^2, of the bias that the odometry gives
+  double gyro_bias_stddev = 0.001;  // rad/s, of the bias that the odometry gives
+  double max_gap = 0.05;            // s without a sample: what follows cannot be integrated
+  double max_time = 10.0;           // s without an odometry state after which there is no position
 };
 
 struct FusionOptions {

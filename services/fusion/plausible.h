@@ -11,10 +11,10 @@
 
 namespace orthonav::fusion {
 
-inline constexpr double kFarthest = 1e6;             // m: no flight leads further from its origin
-inline constexpr int kLargestIdGap = 1000;           // more keyframes are not lost in a row
-inline constexpr int kLargestSessionGap = 86'400;    // sessions are numbered by seconds: a day later is another flight
-inline constexpr double kLargestFixStddev = 1e4;     // m, of a fix that says anything
+inline constexpr double kFarthest = 1e6;           // m: no flight leads further from its origin
+inline constexpr int kLargestIdGap = 1000;         // more keyframes are not lost in a row
+inline constexpr int kLargestSessionGap = 86'400;  // sessions are numbered by seconds: a day later is another flight
+inline constexpr double kLargestFixStddev = 1e4;   // m, of a fix that says anything
 
 inline double seconds_between(int64_t from, int64_t to) {
   return 1e-6 * static_cast<double>(to - from);

@@ -39,11 +39,13 @@ Transition transition_between(const FusionOptions& options, const Keyframe& from
   Eigen::Matrix3d covariance = walk * walk * duration * Eigen::Matrix3d::Identity();
   double yaw_variance = edge.yaw_walk * edge.yaw_walk * duration;
   if (edge.use_odometry_covariance && to.id == from.id + 1 && to.relative_covariance.allFinite()) {
-    // The odometry's own word where it is the more modest one: its edges are not independent, as the graph takes them.
+    // The odometry's own word where it is the more modest one: its errors go on from edge to edge, which the graph
+    // takes to be independent, and the figures of the configuration are those of whole stretches.
     const Eigen::Matrix3d R_G_Bi = (q_G_W * from.q_W_B).toRotationMatrix();
     const Eigen::Vector3d up_Bj = to.q_W_B.conjugate() * Eigen::Vector3d::UnitZ();
-    covariance += R_G_Bi * to.relative_covariance.topLeftCorner<3, 3>() * R_G_Bi.transpose();
-    yaw_variance += up_Bj.dot(to.relative_covariance.bottomRightCorner<3, 3>() * up_Bj);
+    const Eigen::Matrix3d own = R_G_Bi * to.relative_covariance.topLeftCorner<3, 3>() * R_G_Bi.transpose();
+    if (own.trace() > covariance.trace()) covariance = own;
+    yaw_variance = std::max(yaw_variance, up_Bj.dot(to.relative_covariance.bottomRightCorner<3, 3>() * up_Bj));
   }
   transition.position_root = sqrt_information(covariance);
 
@@ -56,7 +58,7 @@ Transition transition_between(const FusionOptions& options, const Keyframe& from
   forget(kTilt, edge.tilt_stddev, duration / edge.tilt_time);
   forget(kTilt + 1, edge.tilt_stddev, duration / edge.tilt_time);
   forget(kScale, edge.scale_stddev, duration / edge.scale_time);
-  forget(kCompass, options.compass.bias_stddev, duration / options.compass.bias_time);
+  forget(kCompassBias, options.compass.bias_stddev, duration / options.compass.bias_time);
   const double way = distance / options.fix.shared_distance;
   forget(kShared, options.fix.shared_horizontal_stddev, way);
   forget(kShared + 1, options.fix.shared_horizontal_stddev, way);
@@ -95,11 +97,20 @@ void PoseGraph::add_position(int id, const Eigen::Vector3d& p_G_B, const Eigen::
   at(id).positions.push_back({p_G_B, sqrt_information(covariance)});
 }
 
-void PoseGraph::add_heading(int id, double heading, double stddev, bool by_compass) {
+void PoseGraph::add_map_heading(int id, double heading, double stddev) {
   Node& node = at(id);
-  const Eigen::Vector3d x_axis_W = node.keyframe.q_W_B * Eigen::Vector3d::UnitX();
-  node.headings.push_back({heading, stddev, by_compass, x_axis_W});
-  if (&node == &nodes_.back()) chain_.add_to_newest(linearise(node.headings.back(), node.state, options_.compass.huber));
+  node.map_headings.push_back({heading, stddev, false, node.keyframe.q_W_B * Eigen::Vector3d::UnitX()});
+}
+
+void PoseGraph::add_scale(int id, double log_scale, double stddev) {
+  at(id).scales.push_back({log_scale, stddev});
+}
+
+void PoseGraph::add_compass(int id, double heading, double stddev) {
+  Node& node = at(id);
+  node.headings.push_back({heading, stddev, true, node.keyframe.q_W_B * Eigen::Vector3d::UnitX()});
+  if (&node == &nodes_.back())
+    chain_.add_to_newest(linearise(node.headings.back(), node.state, options_.compass.huber));
 }
 
 void PoseGraph::solve() {
@@ -160,6 +171,10 @@ Quadratic PoseGraph::own_without_fixes(const Node& node) const {
 
 Quadratic PoseGraph::own(const Node& node) const {
   Quadratic sum = own_without_fixes(node);
+  for (const HeadingMeasurement& heading : node.map_headings) {
+    sum += linearise(heading, node.state, options_.compass.huber);
+  }
+  for (const ScaleMeasurement& scale : node.scales) sum += linearise(scale, node.state, options_.fix.huber);
   for (const PositionMeasurement& position : node.positions) sum += linearise(position, node.state, options_.fix.huber);
   return sum;
 }

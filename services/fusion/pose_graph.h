@@ -46,10 +46,13 @@ class PoseGraph {
   // id follows the newest node's. Ids and times must grow (std::invalid_argument).
   void append(const Keyframe& keyframe);
 
-  // Adds a fix with the covariance of what it does not share with its neighbours, or a true heading of the body's
-  // x axis (clockwise from north), by the compass or free of its bias. Throws std::out_of_range without that node.
+  // What is measured at a node; std::out_of_range without that node. Of a fix: its position, with the covariance of
+  // what it does not share with its neighbours; the true heading of the body's x axis (clockwise from north) and the
+  // logarithm of the odometry's scale, where it fitted them. Of the compass: its heading, declination applied.
   void add_position(int id, const Eigen::Vector3d& p_G_B, const Eigen::Matrix3d& covariance);
-  void add_heading(int id, double heading, double stddev, bool by_compass);
+  void add_map_heading(int id, double heading, double stddev);
+  void add_scale(int id, double log_scale, double stddev);
+  void add_compass(int id, double heading, double stddev);
 
   // Optimises from the current state, then gives nodes beyond the window up to the prior.
   void solve();
@@ -71,8 +74,10 @@ class PoseGraph {
     Keyframe keyframe;
     NodeState state;
     std::optional<Prior> prior;
-    std::optional<Transition> tie;  // to the node before
-    std::vector<HeadingMeasurement> headings;
+    std::optional<Transition> tie;                 // to the node before
+    std::vector<HeadingMeasurement> headings;      // of the compass
+    std::vector<HeadingMeasurement> map_headings;  // of fixes
+    std::vector<ScaleMeasurement> scales;
     std::vector<PositionMeasurement> positions;
   };
 

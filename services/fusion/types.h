@@ -25,7 +25,7 @@ struct OdometryState {
   bool has_pose = false;  // false while the odometry initialises
   Eigen::Vector3d p_W_B = Eigen::Vector3d::Zero();
   Eigen::Quaterniond q_W_B = Eigen::Quaterniond::Identity();
-  Eigen::Vector3d v_W_B = Eigen::Vector3d::Zero();  // m/s; NaN: unknown
+  Eigen::Vector3d v_W_B = Eigen::Vector3d::Zero();       // m/s; NaN: unknown
   Eigen::Vector3d gyro_bias = Eigen::Vector3d::Zero();   // rad/s, in B
   Eigen::Vector3d accel_bias = Eigen::Vector3d::Zero();  // m/s^2, in B
 };
@@ -52,6 +52,10 @@ struct Fix {
   Eigen::Matrix3d covariance = Eigen::Matrix3d::Constant(kUnknown);  // m^2, east north up; NaN: unknown
   double heading = kUnknown;         // rad, true heading of B's x axis, clockwise from north; required
   double heading_stddev = kUnknown;  // rad; NaN: unknown
+  bool heading_fitted = false;       // to the map, with heading_stddev; else it is the compass's
+  double scale = kUnknown;           // true displacement over the odometry's, fitted to the map; NaN: it was not
+  double scale_stddev = kUnknown;
+  int num_keyframes = 1;  // whose points it matched: so many neighbouring fixes share most of their evidence
 };
 
 // A reading of the compass.
@@ -92,15 +96,15 @@ struct Solution {
   Eigen::Quaterniond q_G_B{kUnknown, kUnknown, kUnknown, kUnknown};
   Matrix6d covariance = Matrix6d::Constant(kUnknown);  // (position, rotation vector in G: R = Exp(e) R_hat)
   Eigen::Matrix3d velocity_covariance = Eigen::Matrix3d::Constant(kUnknown);  // m^2/s^2
-  double horizontal_protection_level = kUnknown;  // m, protection.h
-  double vertical_protection_level = kUnknown;    // m
-  double scale = kUnknown;                        // true displacement over the odometry's
-  double heading_offset = kUnknown;               // rad, of W in G, counter-clockwise
-  double compass_bias = kUnknown;                 // rad, the compass's heading minus the true one
-  double vertical_offset = kUnknown;              // m, by which the fixes here are too high
-  double time_since_fix = kUnknown;               // s
-  int num_fixes = 0;                              // in use in this segment
-  int reset_counter = 0;                          // grows whenever the position jumps other than by moving
+  double horizontal_protection_level = kUnknown;                              // m, protection.h
+  double vertical_protection_level = kUnknown;                                // m
+  double scale = kUnknown;                                                    // true displacement over the odometry's
+  double heading_offset = kUnknown;                                           // rad, of W in G, counter-clockwise
+  double compass_bias = kUnknown;     // rad, the compass's heading minus the true one
+  double vertical_offset = kUnknown;  // m, by which the fixes here are too high
+  double time_since_fix = kUnknown;   // s
+  int num_fixes = 0;                  // in use in this segment
+  int reset_counter = 0;              // grows whenever the position jumps other than by moving
 
   bool located() const { return position.latitude_deg == position.latitude_deg; }
 };

@@ -21,12 +21,12 @@ enum class Quality {
 struct Report {
   int64_t utime = 0;  // microseconds since the Unix epoch
   Quality quality = Quality::kNone;
-  double latitude_deg = 0.0;        // WGS84
-  double longitude_deg = 0.0;       // (-180, 180] or any equivalent
-  double ellipsoidal_height = 0.0;  // m
-  Eigen::Vector3d velocity_enu = Eigen::Vector3d::Zero();          // m/s; NaN: unknown
-  Eigen::Matrix3d covariance = Eigen::Matrix3d::Identity();        // of the position, east north up, m^2
-  int num_fixes = 0;                                               // in the place of satellites
+  double latitude_deg = 0.0;                                 // WGS84
+  double longitude_deg = 0.0;                                // (-180, 180] or any equivalent
+  double ellipsoidal_height = 0.0;                           // m
+  Eigen::Vector3d velocity_enu = Eigen::Vector3d::Zero();    // m/s; NaN: unknown
+  Eigen::Matrix3d covariance = Eigen::Matrix3d::Identity();  // of the position, east north up, m^2
+  int num_fixes = 0;                                         // in the place of satellites
 };
 
 struct NmeaOptions {

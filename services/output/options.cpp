@@ -29,7 +29,8 @@ OutputOptions OutputOptions::load(const std::filesystem::path& file) {
   serial.read("enabled", options.serial.enabled);
   serial.read("device", options.serial.device);
   serial.read("baud", options.serial.baud);
-  if (!SerialSink::is_baud(options.serial.baud)) serial.fail("baud", "4800, 9600, 19200, 38400, 57600, 115200 or 230400");
+  if (!SerialSink::is_baud(options.serial.baud))
+    serial.fail("baud", "4800, 9600, 19200, 38400, 57600, 115200 or 230400");
   serial.finish();
   nmea.finish();
   root.finish();

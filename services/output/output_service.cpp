@@ -52,8 +52,7 @@ void OutputService::on_nav(const nav_state_t& nav) {
   if (!restarted && nav.utime < newest_ + period) return;
   newest_ = nav.utime;
   const Report report = report_of(nav);
-  const std::string text =
-      rmc(report, options_.nmea) + gga(report, options_.nmea) + gst(report, options_.nmea);
+  const std::string text = rmc(report, options_.nmea) + gga(report, options_.nmea) + gst(report, options_.nmea);
   for (const Output& output : outputs_) {
     if (output.sink->write(text)) {
       node_.health().add(fmt::format("{}.sent", output.name));

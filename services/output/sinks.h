@@ -1,5 +1,5 @@
-// Where sentences go: a UDP port or a serial line. A sink that cannot write says so and never blocks or throws; a serial
-// device that is not there yet, or that was unplugged, is opened again by a later write.
+// Where sentences go: a UDP port or a serial line. A sink that cannot write says so and never blocks or throws; a
+// serial device that is not there yet, or that was unplugged, is opened again by a later write.
 //
 // Not thread-safe.
 #pragma once

@@ -54,7 +54,7 @@ void fuse(const std::filesystem::path& config, const std::filesystem::path& log)
   const Health& health = node.health();
   std::printf("%-22s %6.2f %6.2f %6.2f %7.1f %6.2f %6.2f %6.2f %6.1f %5.0f %5.0f %4.0f %4d %7.3f\n",
               log.stem().stem().string().c_str(), m.truth.rmse, m.truth.horizontal_rmse, m.truth.vertical_rmse,
-              m.truth.largest, m.heading_rmse * 57.29578, m.nees_position, m.nees_horizontal, m.time_to_first_fix,
+              m.truth.largest, m.heading_rmse * 57.29578, m.nees.position, m.nees.horizontal, m.time_to_first_fix,
               health.counter("fixes.used"), health.counter("fixes.outlier"), health.counter("fixes.relocked"), m.resets,
               health.counter("odometry.scale"));
 }

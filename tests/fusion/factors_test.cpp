@@ -98,8 +98,8 @@ TEST(FusionFactors, PositionIsWhitenedAndTakesTheSharedError) {
   const PositionMeasurement measurement{node.p() + node.shared() - error, sqrt_information(covariance)};
   EXPECT_NEAR(residual(measurement, node).squaredNorm(), error.dot(covariance.inverse() * error), 1e-9);
   const Quadratic cost = linearise(measurement, node, 1e9);
-  expect_close(cost.b, numeric_gradient(
-                           [&](const NodeState& n) { return 0.5 * residual(measurement, n).squaredNorm(); }, node));
+  expect_close(
+      cost.b, numeric_gradient([&](const NodeState& n) { return 0.5 * residual(measurement, n).squaredNorm(); }, node));
 }
 
 TEST(FusionFactors, HuberPullsNoHarderThanItsWidth) {

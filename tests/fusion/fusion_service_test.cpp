@@ -61,6 +61,8 @@ class FusionOnABus : public ::testing::Test {
     for (double& value : message.q_G_B) value = std::numeric_limits<double>::quiet_NaN();
     message.heading = fix.heading;
     message.heading_stddev = fix.heading_stddev;
+    message.heading_correction = message.scale = std::numeric_limits<double>::quiet_NaN();
+    message.num_keyframes = 1;
     return message;
   }
   template <class Msg>
