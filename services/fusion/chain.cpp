@@ -3,26 +3,22 @@
 #include <Eigen/Cholesky>
 
 namespace orthonav::fusion {
-namespace {
 
-Quadratic schur(const TangentMatrix& H_kept, const Tangent& b_kept, const TangentMatrix& H_cross,
-                const TangentMatrix& H_gone, const Tangent& b_gone) {
-  const Eigen::LDLT<TangentMatrix> solver(H_gone);
-  Quadratic left;
-  left.H = H_kept - H_cross * solver.solve(H_cross.transpose());
-  left.H = 0.5 * (left.H + left.H.transpose()).eval();
-  left.b = b_kept - H_cross * solver.solve(b_gone);
-  return left;
-}
-
-}  // namespace
-
-Quadratic eliminate_first(const Quadratic& on_i, const PairQuadratic& pair) {
-  return schur(pair.j.H, pair.j.b, pair.H_ij.transpose(), on_i.H + pair.i.H, on_i.b + pair.i.b);
+Elimination eliminate_first(const Quadratic& on_i, const PairQuadratic& pair) {
+  const Eigen::LLT<StateMatrix> solver(on_i.H + pair.i.H);
+  Elimination result;
+  result.gain = solver.solve(pair.H_ij);
+  result.offset = solver.solve(on_i.b + pair.i.b);
+  result.left.H = pair.j.H;
+  result.left.H.noalias() -= pair.H_ij.transpose() * result.gain;
+  result.left.H = 0.5 * (result.left.H + result.left.H.transpose()).eval();
+  result.left.b = pair.j.b - pair.H_ij.transpose() * result.offset;
+  return result;
 }
 
 Quadratic eliminate_second(const PairQuadratic& pair, const Quadratic& on_j) {
-  return schur(pair.i.H, pair.i.b, pair.H_ij, on_j.H + pair.j.H, on_j.b + pair.j.b);
+  const PairQuadratic mirrored{pair.j, pair.i, pair.H_ij.transpose()};
+  return eliminate_first(on_j, mirrored).left;
 }
 
 void Chain::clear() {
@@ -36,7 +32,7 @@ void Chain::append(const Quadratic& own, const PairQuadratic& tie) {
     forward_.emplace_back();
   } else {
     Quadratic before = own_.back();
-    before += forward_.back();
+    before += forward_.back().left;
     forward_.push_back(eliminate_first(before, tie));
   }
   own_.push_back(own);
@@ -48,12 +44,12 @@ void Chain::drop_oldest() {
   tie_.pop_front();
   forward_.pop_front();
   if (own_.empty()) return;
-  own_.front() += forward_.front();
-  forward_.front() = Quadratic();
+  own_.front() += forward_.front().left;
+  forward_.front() = Elimination();
   tie_.front() = PairQuadratic();
 }
 
-TangentMatrix Chain::information(int index) const {
+StateMatrix Chain::information(int index) const {
   Quadratic after;
   for (int k = size() - 1; k > index; --k) {
     Quadratic on_k = own_[static_cast<size_t>(k)];
@@ -61,7 +57,19 @@ TangentMatrix Chain::information(int index) const {
     after = eliminate_second(tie_[static_cast<size_t>(k)], on_k);
   }
   const auto i = static_cast<size_t>(index);
-  return own_[i].H + forward_[i].H + after.H;
+  return own_[i].H + forward_[i].left.H + after.H;
+}
+
+std::vector<StateVector> Chain::solve() const {
+  std::vector<StateVector> change(own_.size());
+  if (own_.empty()) return change;
+  Quadratic newest = own_.back();
+  newest += forward_.back().left;
+  change.back() = -newest.H.llt().solve(newest.b);
+  for (size_t k = own_.size() - 1; k-- > 0;) {
+    change[k] = -forward_[k + 1].offset - forward_[k + 1].gain * change[k + 1];
+  }
+  return change;
 }
 
 }  // namespace orthonav::fusion

@@ -16,25 +16,30 @@ Eigen::Vector3d turn(double yaw, const Eigen::Vector3d& v) {
 
 }  // namespace
 
-double disagreement(const Sighting& a, const Sighting& b, double scale_stddev) {
+double disagreement(const Sighting& a, const Sighting& b, const FusionOptions& options) {
   // Both headings come from one compass: the difference between them is no evidence, their mean is the estimate.
   const double yaw = a.yaw_G_W + 0.5 * wrap_angle(b.yaw_G_W - a.yaw_G_W);
   const double yaw_stddev = std::max(a.yaw_stddev, b.yaw_stddev);
   const Eigen::Vector3d moved = turn(yaw, b.keyframe.p_W_B - a.keyframe.p_W_B);
   const Eigen::Vector3d sideways = Eigen::Vector3d::UnitZ().cross(moved);
-  const Eigen::Matrix3d covariance = a.covariance + b.covariance +
-                                     yaw_stddev * yaw_stddev * sideways * sideways.transpose() +
-                                     scale_stddev * scale_stddev * moved * moved.transpose();
+  // What neighbours share drops out of the difference, the less the further they are apart.
+  const double forgotten = 2.0 * -std::expm1(-moved.norm() / options.fix.shared_distance);
+  Eigen::Vector3d shared(options.fix.shared_horizontal_stddev, options.fix.shared_horizontal_stddev,
+                         options.fix.shared_vertical_stddev);
+  shared = forgotten * shared.cwiseAbs2();
+  const double scale_stddev = options.edge.scale_stddev;
+  Eigen::Matrix3d covariance = a.covariance + b.covariance + yaw_stddev * yaw_stddev * sideways * sideways.transpose() +
+                               scale_stddev * scale_stddev * moved * moved.transpose();
+  covariance.diagonal() += shared;
   const Eigen::Vector3d error = (b.p_G_B - a.p_G_B) - moved;
-  return error.dot(covariance.ldlt().solve(error));
+  return error.dot(covariance.llt().solve(error));
 }
 
-std::optional<Consensus> find_consensus(const std::vector<Sighting>& sightings, size_t needed, double max_distance,
-                                        double scale_stddev) {
+std::optional<Consensus> find_consensus(const std::vector<Sighting>& sightings, size_t needed,
+                                        const FusionOptions& options) {
   if (sightings.empty()) return std::nullopt;
-  auto agree = [&](size_t a, size_t b) {
-    return a == b || disagreement(sightings[a], sightings[b], scale_stddev) < max_distance * max_distance;
-  };
+  const double limit = options.gate.agreement * options.gate.agreement;
+  auto agree = [&](size_t a, size_t b) { return a == b || disagreement(sightings[a], sightings[b], options) < limit; };
   // Those that agree with the newest; mostly too few, and the search ends here.
   std::vector<size_t> near;
   for (size_t i = 0; i < sightings.size(); ++i) {
@@ -51,6 +56,10 @@ std::optional<Consensus> find_consensus(const std::vector<Sighting>& sightings, 
   }
   if (best.members.size() < needed) return std::nullopt;
 
+  const Eigen::Vector3d from = sightings[best.members.front()].keyframe.p_W_B;
+  for (const size_t member : best.members) {
+    best.span = std::max(best.span, (sightings[member].keyframe.p_W_B - from).norm());
+  }
   std::vector<size_t> others;
   for (size_t i = 0; i < sightings.size(); ++i) {
     if (!std::binary_search(best.members.begin(), best.members.end(), i)) others.push_back(i);

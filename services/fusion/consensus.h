@@ -10,6 +10,7 @@
 
 #include <Eigen/Core>
 
+#include "services/fusion/options.h"
 #include "services/fusion/types.h"
 
 namespace orthonav::fusion {
@@ -19,24 +20,24 @@ struct Sighting {
   Keyframe keyframe;
   Fix fix;
   Eigen::Vector3d p_G_B = Eigen::Vector3d::Zero();           // the fix in the graph's G
-  Eigen::Matrix3d covariance = Eigen::Matrix3d::Identity();  // of p_G_B, with floors
+  Eigen::Matrix3d covariance = Eigen::Matrix3d::Identity();  // of what it does not share with its neighbours
   double yaw_G_W = 0.0;                                      // rad, from the fix's heading
   double yaw_stddev = 0.0;                                   // rad
 };
 
 // Square of the Mahalanobis distance between the motion of the fixes and that of the odometry, from a to b.
-// `scale_stddev`: of the odometry's scale, as a fraction.
-double disagreement(const Sighting& a, const Sighting& b, double scale_stddev);
+double disagreement(const Sighting& a, const Sighting& b, const FusionOptions& options);
 
 struct Consensus {
   std::vector<size_t> members;  // indices, growing; the newest sighting is among them
   size_t rivals = 0;            // size of the largest set that agrees among the others
+  double span = 0.0;            // m, the longest of the odometry's ways between the first member and another
 };
 
 // The largest set of at least `needed` sightings that all agree with the last one and with one of them; nullopt when
 // there is none. Linear in their number while there is none, quadratic otherwise.
-std::optional<Consensus> find_consensus(const std::vector<Sighting>& sightings, size_t needed, double max_distance,
-                                        double scale_stddev);
+std::optional<Consensus> find_consensus(const std::vector<Sighting>& sightings, size_t needed,
+                                        const FusionOptions& options);
 
 // Rotation about z and translation from W to G that fits the members best: their mean.
 struct Placement {

@@ -1,157 +1,133 @@
 #include "services/fusion/factors.h"
 
-#include <algorithm>
 #include <cmath>
+#include <numbers>
 
 #include <Eigen/Cholesky>
-#include <Eigen/Eigenvalues>
 
 #include "common/math/so3.h"
 
 namespace orthonav::fusion {
 namespace {
 
-template <int Rows>
-using PaddedJacobian = Eigen::Matrix<double, Rows, kAmbient, Eigen::RowMajor>;
+using PositionRows = Eigen::Matrix<double, 3, kStates>;
 
-// Writes a Jacobian with respect to the tangent into the block Ceres gave, if it asked for one.
-template <int Rows>
-void write_jacobian(double** jacobians, int block, const Eigen::Matrix<double, Rows, kTangent>& J) {
-  if (jacobians == nullptr || jacobians[block] == nullptr) return;
-  for (int row = 0; row < Rows; ++row) {
-    double* out = jacobians[block] + row * kAmbient;
-    for (int column = 0; column < 6; ++column) out[column] = J(row, column);
-    out[6] = 0.0;
-    out[7] = J(row, 6);
-  }
+double huber_weight(double norm, double huber) {
+  return norm > huber ? huber / norm : 1.0;
 }
 
-// U with U^T U = covariance^-1.
-template <int N>
-Eigen::Matrix<double, N, N> sqrt_information_of(const Eigen::Matrix<double, N, N>& covariance) {
-  const Eigen::Matrix<double, N, N> identity = Eigen::Matrix<double, N, N>::Identity();
-  return Eigen::LLT<Eigen::Matrix<double, N, N>>(covariance).matrixL().solve(identity);
+// Of the first three rows of the transition's residual, before whitening.
+PositionRows motion_jacobian(const Transition& transition, const NodeState& i) {
+  const Eigen::Vector3d moved = std::exp(i.log_scale()) * (i.q_G_W() * transition.dp_W);
+  PositionRows J = PositionRows::Zero();
+  J.leftCols<3>() = -Eigen::Matrix3d::Identity();
+  J.middleCols<3>(kYaw) = skew(moved) * rotation_jacobian(i);
+  J.col(kScale) = -moved;
+  return J;
 }
 
 }  // namespace
 
-RelativeFactor::RelativeFactor(const Eigen::Vector3d& dp, const Eigen::Quaterniond& dq, const Matrix6d& covariance,
-                               double scale_stddev)
-    : dp_(dp), dq_(dq.normalized()) {
-  sqrt_information_.setZero();
-  sqrt_information_.topLeftCorner<6, 6>() = sqrt_information_of<6>(covariance);
-  sqrt_information_(6, 6) = 1.0 / scale_stddev;
+Eigen::Matrix3d sqrt_information(const Eigen::Matrix3d& covariance) {
+  const Eigen::Matrix3d identity = Eigen::Matrix3d::Identity();
+  return Eigen::LLT<Eigen::Matrix3d>(covariance).matrixL().solve(identity);
 }
 
-bool RelativeFactor::Evaluate(const double* const* parameters, double* residuals, double** jacobians) const {
-  const NodeState i = NodeState::from(parameters[0]);
-  const NodeState j = NodeState::from(parameters[1]);
-  const Eigen::Matrix3d R_i_transposed = i.q().toRotationMatrix().transpose();
-  const Eigen::Vector3d d = j.p() - i.p();
-  const double scale = std::exp(i.log_scale());
-  const Eigen::Vector3d rotation_error = so3_log(dq_.conjugate() * i.q().conjugate() * j.q());
-
-  Tangent r;
-  r << R_i_transposed * d - scale * dp_, rotation_error, j.log_scale() - i.log_scale();
-  Eigen::Map<Tangent>(residuals, kTangent) = sqrt_information_ * r;
-
-  if (jacobians != nullptr) {
-    const Eigen::Matrix3d rotation_jacobian =
-        so3_right_jacobian_inverse(rotation_error) * j.q().toRotationMatrix().transpose();
-    TangentMatrix J_i = TangentMatrix::Zero();
-    J_i.block<3, 3>(0, 0) = -R_i_transposed;
-    J_i.block<3, 3>(0, 3) = R_i_transposed * skew(d);
-    J_i.block<3, 1>(0, 6) = -scale * dp_;
-    J_i.block<3, 3>(3, 3) = -rotation_jacobian;
-    J_i(6, 6) = -1.0;
-    TangentMatrix J_j = TangentMatrix::Zero();
-    J_j.block<3, 3>(0, 0) = R_i_transposed;
-    J_j.block<3, 3>(3, 3) = rotation_jacobian;
-    J_j(6, 6) = 1.0;
-    write_jacobian<kTangent>(jacobians, 0, sqrt_information_ * J_i);
-    write_jacobian<kTangent>(jacobians, 1, sqrt_information_ * J_j);
-  }
-  return true;
+NodeState predict(const Transition& transition, const NodeState& i) {
+  NodeState j;
+  j.x = transition.decay.cwiseProduct(i.x);
+  j.x.segment<3>(kPosition) = i.p() + std::exp(i.log_scale()) * (i.q_G_W() * transition.dp_W);
+  return j;
 }
 
-PositionFactor::PositionFactor(const Eigen::Vector3d& p_G_B, const Eigen::Matrix3d& covariance, double height)
-    : p_G_B_(p_G_B), sqrt_information_(sqrt_information_of<3>(covariance)), height_(height) {}
-
-bool PositionFactor::Evaluate(const double* const* parameters, double* residuals, double** jacobians) const {
-  const NodeState node = NodeState::from(parameters[0]);
-  const double scale = std::exp(node.log_scale());
-  const Eigen::Vector3d up = Eigen::Vector3d::UnitZ();
-  Eigen::Map<Eigen::Vector3d>(residuals, 3) = sqrt_information_ * (node.p() - p_G_B_ - (scale - 1.0) * height_ * up);
-  Eigen::Matrix<double, 3, kTangent> J = Eigen::Matrix<double, 3, kTangent>::Zero();
-  J.leftCols<3>() = sqrt_information_;
-  J.col(6) = -scale * height_ * sqrt_information_ * up;
-  write_jacobian<3>(jacobians, 0, J);
-  return true;
+StateVector residual(const Transition& transition, const NodeState& i, const NodeState& j) {
+  StateVector r = (j.x - predict(transition, i).x).cwiseQuotient(transition.stddev);
+  r.head<3>() = transition.position_root * (j.p() - predict(transition, i).p());
+  return r;
 }
 
-YawFactor::YawFactor(double yaw, double stddev) : yaw_(yaw), stddev_(stddev) {}
+Eigen::Vector3d residual(const PositionMeasurement& measurement, const NodeState& node) {
+  return measurement.root * (node.p() + node.shared() - measurement.p_G_B);
+}
 
-bool YawFactor::Evaluate(const double* const* parameters, double* residuals, double** jacobians) const {
-  const Eigen::Vector3d x_axis = NodeState::from(parameters[0]).q() * Eigen::Vector3d::UnitX();
+double residual(const HeadingMeasurement& measurement, const NodeState& node) {
+  const Eigen::Vector3d x_axis = node.q_G_W() * measurement.x_axis_W;
+  const double heading = 0.5 * std::numbers::pi - std::atan2(x_axis.y(), x_axis.x());
+  const double bias = measurement.biased ? node.compass_bias() : 0.0;
+  return wrap_angle(heading + bias - measurement.heading) / measurement.stddev;
+}
+
+StateVector heading_jacobian(const HeadingMeasurement& measurement, const NodeState& node) {
+  StateVector J = StateVector::Zero();
+  const Eigen::Vector3d x_axis = node.q_G_W() * measurement.x_axis_W;
   const double squared = x_axis.head<2>().squaredNorm();
-  residuals[0] = wrap_angle(std::atan2(x_axis.y(), x_axis.x()) - yaw_) / stddev_;
-  Eigen::Matrix<double, 1, kTangent> J = Eigen::Matrix<double, 1, kTangent>::Zero();
-  // A body whose x axis is vertical has no yaw: it then says nothing.
-  if (squared > 1e-6) {
-    const Eigen::Matrix3d dx = -skew(x_axis);
-    J.segment<3>(3) = (x_axis.x() * dx.row(1) - x_axis.y() * dx.row(0)) / (squared * stddev_);
-  } else {
-    residuals[0] = 0.0;
-  }
-  write_jacobian<1>(jacobians, 0, J);
-  return true;
+  if (squared < 1e-6) return J;
+  const Eigen::Matrix3d dx = -skew(x_axis) * rotation_jacobian(node);
+  J.segment<3>(kYaw) = -(x_axis.x() * dx.row(1) - x_axis.y() * dx.row(0)).transpose() / squared;
+  if (measurement.biased) J(kCompassBias) = 1.0;
+  return J;
 }
 
-TiltFactor::TiltFactor(const Eigen::Vector3d& up_B, double stddev) : up_B_(up_B.normalized()), stddev_(stddev) {}
+PairQuadratic linearise(const Transition& transition, const NodeState& i, const NodeState& j) {
+  const StateVector r = residual(transition, i, j);
+  const PositionRows A = transition.position_root * motion_jacobian(transition, i);
+  const Eigen::Matrix3d& U = transition.position_root;
+  const Eigen::Vector3d r_position = r.head<3>();
 
-bool TiltFactor::Evaluate(const double* const* parameters, double* residuals, double** jacobians) const {
-  const Eigen::Matrix3d R_transposed = NodeState::from(parameters[0]).q().toRotationMatrix().transpose();
-  const Eigen::Vector3d up = Eigen::Vector3d::UnitZ();
-  Eigen::Map<Eigen::Vector3d>(residuals, 3) = (R_transposed * up - up_B_) / stddev_;
-  Eigen::Matrix<double, 3, kTangent> J = Eigen::Matrix<double, 3, kTangent>::Zero();
-  J.block<3, 3>(0, 3) = R_transposed * skew(up) / stddev_;
-  write_jacobian<3>(jacobians, 0, J);
-  return true;
+  PairQuadratic pair;
+  pair.i.H.noalias() = A.transpose() * A;
+  pair.i.b.noalias() = A.transpose() * r_position;
+  pair.j.H.topLeftCorner<3, 3>().noalias() = U.transpose() * U;
+  pair.j.b.head<3>().noalias() = U.transpose() * r_position;
+  pair.H_ij.leftCols<3>().noalias() = A.transpose() * U;
+  for (int k = kYaw; k < kStates; ++k) {
+    const double root = 1.0 / transition.stddev(k);
+    const double back = -transition.decay(k) * root;
+    pair.i.H(k, k) += back * back;
+    pair.i.b(k) += back * r(k);
+    pair.j.H(k, k) += root * root;
+    pair.j.b(k) += root * r(k);
+    pair.H_ij(k, k) += back * root;
+  }
+  return pair;
 }
 
-PriorFactor::PriorFactor(const NodeState& mean, const TangentMatrix& sqrt_information)
-    : mean_(mean), sqrt_information_(sqrt_information) {}
-
-std::unique_ptr<PriorFactor> PriorFactor::from_quadratic(const NodeState& point, const TangentMatrix& H,
-                                                         const Tangent& b) {
-  // Metres, radians and scale differ by orders of magnitude: bring the diagonal to 1 before asking which directions
-  // carry no information (their eigenvalues are rounding noise, and must stay without).
-  const Tangent unit = H.diagonal().cwiseMax(1e-12).cwiseSqrt();
-  const TangentMatrix scaled = unit.cwiseInverse().asDiagonal() * H * unit.cwiseInverse().asDiagonal();
-  const Eigen::SelfAdjointEigenSolver<TangentMatrix> eigen(scaled);
-  Tangent root = Tangent::Zero();
-  Tangent inverse = Tangent::Zero();
-  for (int k = 0; k < kTangent; ++k) {
-    if (eigen.eigenvalues()(k) <= 1e-11) continue;
-    root(k) = std::sqrt(eigen.eigenvalues()(k));
-    inverse(k) = 1.0 / eigen.eigenvalues()(k);
+Quadratic linearise(const PositionMeasurement& measurement, const NodeState& node, double huber) {
+  const Eigen::Vector3d r = residual(measurement, node);
+  const double weight = huber_weight(r.norm(), huber);
+  const Eigen::Matrix3d information = weight * measurement.root.transpose() * measurement.root;
+  const Eigen::Vector3d pull = weight * measurement.root.transpose() * r;
+  Quadratic cost;
+  for (const int row : {kPosition, kShared}) {
+    cost.b.segment<3>(row) = pull;
+    for (const int column : {kPosition, kShared}) cost.H.block<3, 3>(row, column) = information;
   }
-  const TangentMatrix V = eigen.eigenvectors();
-  const Tangent b_scaled = b.cwiseQuotient(unit);
-  const Tangent minimum = -(V * inverse.asDiagonal() * V.transpose() * b_scaled).cwiseQuotient(unit);
-  return std::make_unique<PriorFactor>(point.plus(minimum), root.asDiagonal() * V.transpose() * unit.asDiagonal());
+  return cost;
 }
 
-bool PriorFactor::Evaluate(const double* const* parameters, double* residuals, double** jacobians) const {
-  const Tangent delta = NodeState::from(parameters[0]).minus(mean_);
-  Eigen::Map<Tangent>(residuals, kTangent) = sqrt_information_ * delta;
-  if (jacobians != nullptr) {
-    TangentMatrix J = TangentMatrix::Identity();
-    // The left Jacobian's inverse is the right one's at the opposite rotation.
-    J.block<3, 3>(3, 3) = so3_right_jacobian_inverse(-delta.segment<3>(3));
-    write_jacobian<kTangent>(jacobians, 0, sqrt_information_ * J);
-  }
-  return true;
+Quadratic linearise(const HeadingMeasurement& measurement, const NodeState& node, double huber) {
+  const double r = residual(measurement, node);
+  const StateVector J = heading_jacobian(measurement, node) / measurement.stddev;
+  const double weight = huber_weight(std::abs(r), huber);
+  Quadratic cost;
+  cost.H = weight * J * J.transpose();
+  cost.b = weight * r * J;
+  return cost;
+}
+
+Quadratic linearise(const ScaleMeasurement& measurement, const NodeState& node, double huber) {
+  const double r = (node.log_scale() - measurement.log_scale) / measurement.stddev;
+  const double weight = huber_weight(std::abs(r), huber);
+  Quadratic cost;
+  cost.H(kScale, kScale) = weight / (measurement.stddev * measurement.stddev);
+  cost.b(kScale) = weight * r / measurement.stddev;
+  return cost;
+}
+
+Quadratic linearise(const Prior& prior, const NodeState& node) {
+  Quadratic cost = prior.cost;
+  cost.b += prior.cost.H * (node.x - prior.point.x);
+  return cost;
 }
 
 }  // namespace orthonav::fusion

@@ -1,87 +1,72 @@
-// The terms of the graph's cost, with analytic Jacobians.
+// The terms of the graph's cost, linearised: each adds 1/2 d^T H d + b^T d over the change d of the nodes it touches.
 //
-// Each is a ceres::CostFunction over one or two NodeState blocks; Jacobians are with respect to the tangent,
-// padded as NodeManifold says. All residuals are whitened (unit variance). Immutable after construction.
+// Jacobians are analytic. Residuals are whitened (unit variance) before they are squared. Pure functions, thread-safe.
 #pragma once
-
-#include <memory>
 
 #include <Eigen/Core>
 #include <Eigen/Geometry>
-#include <ceres/sized_cost_function.h>
 
+#include "services/fusion/chain.h"
 #include "services/fusion/node_state.h"
 #include "services/fusion/types.h"
 
 namespace orthonav::fusion {
 
-// Motion from node i to node j as the odometry saw it, equations (12) and (13), with the odometry's scale:
-//   R_i^T (p_j - p_i) - exp(s_i) dp,   Log(dR^T R_i^T R_j),   s_j - s_i.
-class RelativeFactor final : public ceres::SizedCostFunction<kTangent, kAmbient, kAmbient> {
- public:
-  // `dp`: position of j in B_i; `dq`: q_Bi_Bj; `covariance` of (dp in B_i, rotation vector in B_j), positive
-  // definite; `scale_stddev`: how much the log scale may change from i to j, > 0.
-  RelativeFactor(const Eigen::Vector3d& dp, const Eigen::Quaterniond& dq, const Matrix6d& covariance,
-                 double scale_stddev);
-  bool Evaluate(const double* const* parameters, double* residuals, double** jacobians) const override;
-
- private:
-  Eigen::Vector3d dp_;
-  Eigen::Quaterniond dq_;
-  TangentMatrix sqrt_information_;
+// Motion from node i to node j: equations (12) and (13) with the odometry's scale and tilt,
+//   p_j - p_i - exp(scale_i) R_G_W,i dp_W,
+// while each of the other variables x decays towards 0 or walks: x_j - decay x_i.
+struct Transition {
+  Eigen::Vector3d dp_W = Eigen::Vector3d::Zero();
+  Eigen::Matrix3d position_root = Eigen::Matrix3d::Identity();  // U with U^T U the inverse covariance of the first line
+  StateVector decay = StateVector::Ones();                      // entries from kYaw on; 1: a random walk
+  StateVector stddev = StateVector::Ones();                     // entries from kYaw on, > 0
 };
 
-// Absolute position of a node from the map, equation (14).
-//
-// A fix finds where the odometry's points lie and steps back from them by the odometry's height above them, which has
-// the odometry's scale: the fix is too low by (exp(s) - 1) height. Residual: p - (fix + (exp(s) - 1) height e_z).
-class PositionFactor final : public ceres::SizedCostFunction<3, kAmbient> {
- public:
-  // `covariance`: m^2, positive definite; `height`: m, the odometry's above the ground; 0: the fix's height does not
-  // depend on the odometry's scale.
-  PositionFactor(const Eigen::Vector3d& p_G_B, const Eigen::Matrix3d& covariance, double height = 0.0);
-  bool Evaluate(const double* const* parameters, double* residuals, double** jacobians) const override;
-
- private:
-  Eigen::Vector3d p_G_B_;
-  Eigen::Matrix3d sqrt_information_;
-  double height_;
+// Where the map says the body is, equation (14): p + shared - position.
+struct PositionMeasurement {
+  Eigen::Vector3d p_G_B = Eigen::Vector3d::Zero();
+  Eigen::Matrix3d root = Eigen::Matrix3d::Identity();  // U with U^T U the inverse covariance of what fixes do not share
 };
 
-// Yaw of a node's body, counter-clockwise from east.
-class YawFactor final : public ceres::SizedCostFunction<1, kAmbient> {
- public:
-  YawFactor(double yaw, double stddev);
-  bool Evaluate(const double* const* parameters, double* residuals, double** jacobians) const override;
-
- private:
-  double yaw_;
-  double stddev_;
+// A true heading of the body's x axis, clockwise from north: heading + bias - measured.
+struct HeadingMeasurement {
+  double heading = 0.0;                                 // rad
+  double stddev = 1.0;                                  // rad
+  bool biased = true;                                   // by the compass's bias
+  Eigen::Vector3d x_axis_W = Eigen::Vector3d::UnitX();  // the body's x axis in the odometry's world
 };
 
-// Direction of "up" in the body, which an odometry with an accelerometer knows without drift.
-class TiltFactor final : public ceres::SizedCostFunction<3, kAmbient> {
- public:
-  TiltFactor(const Eigen::Vector3d& up_B, double stddev);
-  bool Evaluate(const double* const* parameters, double* residuals, double** jacobians) const override;
-
- private:
-  Eigen::Vector3d up_B_;
-  double stddev_;
+// The logarithm of the odometry's scale, as a fix fitted it.
+struct ScaleMeasurement {
+  double log_scale = 0.0;
+  double stddev = 1.0;
 };
 
-// A Gaussian over one node: what is left of the nodes before it after their marginalisation.
-//   sqrt_information * (x minus mean)
-class PriorFactor final : public ceres::SizedCostFunction<kTangent, kAmbient> {
- public:
-  PriorFactor(const NodeState& mean, const TangentMatrix& sqrt_information);
-  // From the quadratic cost 1/2 d^T H d + b^T d in d = x minus `point`; H positive semidefinite.
-  static std::unique_ptr<PriorFactor> from_quadratic(const NodeState& point, const TangentMatrix& H, const Tangent& b);
-  bool Evaluate(const double* const* parameters, double* residuals, double** jacobians) const override;
-
- private:
-  NodeState mean_;
-  TangentMatrix sqrt_information_;
+// A Gaussian about a node: what is left of the nodes before it, or a first guess. 1/2 d^T H d + b^T d in d = x - point.
+struct Prior {
+  NodeState point;
+  Quadratic cost;
 };
+
+// U with U^T U = covariance^-1; covariance positive definite.
+Eigen::Matrix3d sqrt_information(const Eigen::Matrix3d& covariance);
+
+// Position of the motion's end as node i predicts it, and the other variables after their decay.
+NodeState predict(const Transition& transition, const NodeState& i);
+
+// Residual of each term, for tests and for innovation checks; whitened.
+StateVector residual(const Transition& transition, const NodeState& i, const NodeState& j);
+Eigen::Vector3d residual(const PositionMeasurement& measurement, const NodeState& node);
+double residual(const HeadingMeasurement& measurement, const NodeState& node);
+
+// d(heading + bias)/dx at a node, rad per unit; zero for an axis that stands upright and has no heading.
+StateVector heading_jacobian(const HeadingMeasurement& measurement, const NodeState& node);
+
+PairQuadratic linearise(const Transition& transition, const NodeState& i, const NodeState& j);
+// `huber`: standard deviations from which the residual's norm counts linearly, equation (15).
+Quadratic linearise(const PositionMeasurement& measurement, const NodeState& node, double huber);
+Quadratic linearise(const HeadingMeasurement& measurement, const NodeState& node, double huber);
+Quadratic linearise(const ScaleMeasurement& measurement, const NodeState& node, double huber);
+Quadratic linearise(const Prior& prior, const NodeState& node);
 
 }  // namespace orthonav::fusion

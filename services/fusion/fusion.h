@@ -1,24 +1,23 @@
-// Where the aircraft is on Earth, from an odometry that drifts and fixes that are sometimes wrong.
+// Where the aircraft is on Earth, from an odometry that drifts, fixes that are sometimes wrong, a compass and an
+// inertial sensor.
 //
-// Feed keyframes and fixes as they come and ask for a solution at every odometry state:
+// Feed everything as it comes; ask for a solution at every odometry state and at every inertial sample.
 //
-//        keyframes            fixes that agree          a fix within the gate
-//   (new session)──► DEAD_RECKONING ──────────► MAP_AIDED ◄──────────────────┐
-//                         ▲    first lock          │  no fix for a while  │
-//                         └────────────────────────┤                      │
-//                              new session         └─────► COASTING ──────┘
+// Before the first lock, poses are in W and there is no geodetic position. A lock needs some fixes that agree about the
+// motion between them, over some way; then the trajectory jumps onto the map. After it, each fix is tested against the
+// graph's own prediction. Fixes that are not believed are remembered: when they agree on another place and
+// outnumber all that were believed since the lock, or when none has been believed for long, it was the lock that was
+// wrong, and the segment is placed anew. A fix belongs to its own keyframe, however late it comes.
 //
-// Before the lock, poses are in W and there is no geodetic position. The first lock needs some fixes that agree about
-// the motion between them; then the trajectory jumps onto the map. After it, each fix is tested against the graph's own
-// prediction. Fixes are remembered whether believed or not, and when more of the newest ones agree on another place
-// than are in the graph, it was the lock that was wrong: the segment is placed anew. A fix belongs to its own keyframe,
-// however late it comes.
+// A new session of the odometry is a new W and a new segment of the graph. If the inertial sensor has carried the
+// position across, the segment begins there with the sensor's uncertainty; else it has to find its place again.
 //
 // A fix of a map with another anchor is converted: G stays where the segment was locked.
 //
 // Deterministic, no clock, not thread-safe. Bad input is reported by its Outcome and changes nothing.
 #pragma once
 
+#include <deque>
 #include <map>
 #include <memory>
 #include <optional>
@@ -26,8 +25,11 @@
 
 #include "common/geo/enu_frame.h"
 #include "services/fusion/consensus.h"
+#include "services/fusion/inertial.h"
+#include "services/fusion/mode.h"
 #include "services/fusion/options.h"
 #include "services/fusion/pose_graph.h"
+#include "services/fusion/protection.h"
 #include "services/fusion/types.h"
 
 namespace orthonav::fusion {
@@ -42,46 +44,90 @@ class Fusion {
   // Any outcome but kJump. kUsed, kLocked and kRelocked have solved the graph.
   Outcome add_fix(const Fix& fix);
 
+  // kUsed, kBadNumber or kOutOfOrder. It counts with the next keyframe near it, if it passes the innovation test.
+  Outcome add_compass(const CompassReading& reading);
+
   struct Propagated {
-    Outcome outcome = Outcome::kUsed;  // kUsed, kBadNumber, kJump or kOldSession
-    Solution solution;                 // in mode kWaitingForVio and all unknown unless kUsed with a pose
+    Outcome outcome = Outcome::kUsed;  // kUsed, kBadNumber, kOutOfOrder, kJump or kOldSession
+    Solution solution;                 // unless kUsed with a pose: all unknown
   };
   // The solution at an odometry state: the newest node moved on by the odometry.
   Propagated propagate(const OdometryState& state);
 
+  struct Carried {
+    Outcome outcome = Outcome::kUsed;  // kUsed, kBadNumber or kOutOfOrder
+    std::optional<Solution> solution;  // only with a position on the map
+  };
+  // The solution at an inertial sample: the newest odometry state moved on by the inertial sensor.
+  Carried add_imu(const ImuSample& sample);
+
   bool locked() const { return graph_ != nullptr; }
   int graph_size() const { return graph_ ? graph_->size() : 0; }
+  int compass_rejected() const { return compass_rejected_; }
   // True displacement over the odometry's at the newest node; NaN before the lock.
   double scale() const;
 
  private:
+  // A keyframe with the compass's reading near it.
+  struct Waypoint {
+    Keyframe keyframe;
+    std::optional<CompassReading> compass;  // heading: true
+  };
+
   void start_segment(int session);
+  void leave_map();
+  std::optional<CompassReading> compass_near(int64_t utime) const;
+  double compass_noise(const CompassReading& reading) const;
+  void append(const Waypoint& waypoint);
   std::optional<Sighting> sight(const Fix& fix, Outcome& refused) const;
-  void remember(const Sighting& sighting, bool accepted);
   bool try_lock();
   bool try_relock();
-  bool lock_on_consensus(size_t needed);
   void lock(const std::vector<Sighting>& members);
   bool within_gate(const Sighting& sighting) const;
   void use(const Sighting& sighting);
+  void look_at_rivals();
   void solve_and_watch_for_jump();
-  Solution located(const OdometryState& state, Solution solution) const;
+  void update_newest();
+  void start_bridge(const OdometryState& state);
+  void try_bridge();
+  Solution located(const OdometryState& state, Solution solution);
+  Solution carried(const InertialState& state);
+  void judge(Solution& solution, bool odometry, bool blind);
 
   FusionOptions options_;
   int session_ = 0;
   int reset_counter_ = 0;
+  int moves_ = 0;
   bool has_output_ = false;  // a pose has been given out
+  int compass_rejected_ = 0;
   std::optional<OdometryState> last_state_;
+  std::deque<CompassReading> compass_;  // headings: true
+  Inertial inertial_;
+  int64_t odometry_utime_ = 0;  // of the newest odometry state with a position on the map
+  ModeMachine modes_;
 
   // The segment.
-  std::map<int, Keyframe> keyframes_;  // by id; as many as the window holds
+  std::map<int, Waypoint> waypoints_;  // by keyframe id; as many as the window holds
   std::map<int, int64_t> fixed_;       // keyframes that a fix has been seen of, with its time
   std::optional<EnuFrame> frame_;      // G, once locked
   std::unique_ptr<PoseGraph> graph_;   // once locked
-  std::vector<Sighting> memory_;       // the newest fixes, believed or not
-  std::vector<bool> accepted_;         // which of them are in the graph
+  std::vector<Sighting> waiting_;      // before the lock: the newest fixes; after it: those not believed
+  std::optional<Located> rival_;       // where those agree to be, moved on to the newest node
+  int64_t rival_utime_ = 0;
+  int rival_fixes_ = 0;
+  int believed_ = 0;                                          // fixes since the lock
+  Eigen::Vector3d confirmed_from_ = Eigen::Vector3d::Zero();  // p_W_B of the first of them
+  double confirmed_span_ = 0.0;                               // m from there to the furthest other
   int num_fixes_ = 0;
   int64_t newest_fix_utime_ = 0;
+  Estimate newest_;   // of the newest node
+  Protection level_;  // there
+  std::optional<Solution> last_located_;
+
+  // While the odometry restarts.
+  std::optional<Estimate> before_;  // newest node of the segment before
+  std::optional<Estimate> bridge_;  // where the new session's first state stands: state with p_G_B, yaw of its W
+  Eigen::Vector3d bridge_p_W_B_ = Eigen::Vector3d::Zero();
 };
 
 }  // namespace orthonav::fusion

@@ -9,10 +9,9 @@
 #include "common/math/so3.h"
 #include "orthonav/nav_state_t.hpp"
 
-namespace orthonav {
+namespace orthonav::fusion {
 namespace {
 
-using fusion::Outcome;
 using RowMajor3 = Eigen::Matrix<double, 3, 3, Eigen::RowMajor>;
 using RowMajor6 = Eigen::Matrix<double, 6, 6, Eigen::RowMajor>;
 
@@ -33,7 +32,7 @@ void put(const Eigen::Quaterniond& q, double (&out)[4]) {
   out[3] = q.z();
 }
 
-nav_state_t message_of(const fusion::Solution& solution) {
+nav_state_t message_of(const Solution& solution) {
   nav_state_t nav;
   nav.utime = solution.utime;
   nav.mode = static_cast<int8_t>(solution.mode);
@@ -51,43 +50,83 @@ nav_state_t message_of(const fusion::Solution& solution) {
   nav.time_since_fix = solution.time_since_fix;
   nav.num_fixes = solution.num_fixes;
   nav.reset_counter = solution.reset_counter;
+  nav.source = solution.inertial ? nav_state_t::INERTIAL : nav_state_t::FRAME;
+  Eigen::Map<RowMajor3>(nav.velocity_covariance) = solution.velocity_covariance;
+  nav.horizontal_protection_level = solution.horizontal_protection_level;
+  nav.vertical_protection_level = solution.vertical_protection_level;
+  nav.odometry_scale = solution.scale;
+  nav.heading_offset = solution.heading_offset;
+  nav.compass_bias = solution.compass_bias;
+  nav.vertical_offset = solution.vertical_offset;
   return nav;
 }
 
 }  // namespace
 
 FusionService::FusionService(Node& node, const std::filesystem::path& config_folder)
-    : node_(node), fusion_(fusion::FusionOptions::load(config_folder / "fusion.yaml")) {
+    : node_(node), fusion_(FusionOptions::load(config_folder)) {
   node_.health().set_state(Health::State::kStarting, "waiting for the odometry (VIO_STATE)");
   node_.subscribe<vio_state_t>(channel::kVioState, Delivery::kAll, [this](const vio_state_t& m) { on_state(m); });
   node_.subscribe<vio_keyframe_t>(channel::kVioKeyframe, Delivery::kAll,
                                   [this](const vio_keyframe_t& m) { on_keyframe(m); });
   node_.subscribe<map_fix_t>(channel::kMapFix, Delivery::kAll, [this](const map_fix_t& m) { on_fix(m); });
+  node_.subscribe<compass_t>(channel::kCompass, Delivery::kAll, [this](const compass_t& m) { on_compass(m); });
+  node_.subscribe<imu_t>(channel::kImu, Delivery::kAll, [this](const imu_t& m) { on_imu(m); });
 }
 
 void FusionService::on_state(const vio_state_t& message) {
-  fusion::OdometryState state;
+  OdometryState state;
   state.utime = message.utime;
   state.session = message.session;
   state.has_pose = message.status != vio_state_t::INITIALISING;
   state.p_W_B = vector_of(message.p_W_B);
   state.q_W_B = quaternion_of(message.q_W_B);
   state.v_W_B = vector_of(message.v_W_B);
-  const fusion::Fusion::Propagated propagated = fusion_.propagate(state);
+  state.gyro_bias = vector_of(message.gyro_bias);
+  state.accel_bias = vector_of(message.accel_bias);
+  const Fusion::Propagated propagated = fusion_.propagate(state);
   node_.health().add("states.received");
   if (propagated.outcome != Outcome::kUsed) {
     node_.health().reject(fmt::format("state.{}", to_string(propagated.outcome)),
                           "odometry states refused: look at the health of vio");
   }
-  nav_state_t nav = message_of(propagated.solution);
-  nav.height_above_ground = message.height_above_ground;
-  nav.processing_ms = solve_ms_;
-  node_.publish(channel::kNavState, nav);
+  height_above_ground_ = message.height_above_ground;
+  publish(propagated.solution);
   report_mode(propagated.solution);
 }
 
+void FusionService::on_imu(const imu_t& message) {
+  ImuSample sample;
+  sample.utime = message.utime;
+  sample.angular_rate = vector_of(message.angular_rate);
+  sample.specific_force = vector_of(message.specific_force);
+  const Fusion::Carried carried = fusion_.add_imu(sample);
+  node_.health().add("imu.received");
+  if (carried.outcome != Outcome::kUsed) {
+    node_.health().reject(fmt::format("imu.{}", to_string(carried.outcome)),
+                          "IMU samples refused: look at the health of ingest");
+  }
+  if (carried.solution) publish(*carried.solution);
+}
+
+void FusionService::on_compass(const compass_t& message) {
+  const Outcome outcome = fusion_.add_compass({message.utime, message.heading, message.heading_stddev});
+  node_.health().add("compass.received");
+  if (outcome != Outcome::kUsed) {
+    node_.health().reject(fmt::format("compass.{}", to_string(outcome)),
+                          "compass readings refused: the heading rests on the map alone");
+  }
+}
+
+void FusionService::publish(const Solution& solution) {
+  nav_state_t nav = message_of(solution);
+  nav.height_above_ground = height_above_ground_;
+  nav.processing_ms = solve_ms_;
+  node_.publish(channel::kNavState, nav);
+}
+
 void FusionService::on_keyframe(const vio_keyframe_t& message) {
-  fusion::Keyframe keyframe;
+  Keyframe keyframe;
   keyframe.utime = message.utime;
   keyframe.session = message.session;
   keyframe.id = message.id;
@@ -95,7 +134,9 @@ void FusionService::on_keyframe(const vio_keyframe_t& message) {
   keyframe.q_W_B = quaternion_of(message.q_W_B);
   keyframe.height_above_ground = message.height_above_ground;
   keyframe.relative_covariance = Eigen::Map<const RowMajor6>(message.relative_covariance);
+  const Stopwatch watch(node_);
   const Outcome outcome = fusion_.add_keyframe(keyframe);
+  solve_ms_ = watch.ms();
   node_.health().add("keyframes.received");
   if (outcome != Outcome::kUsed) {
     node_.health().reject(fmt::format("keyframe.{}", to_string(outcome)),
@@ -108,6 +149,7 @@ void FusionService::on_keyframe(const vio_keyframe_t& message) {
   last_keyframe_session_ = keyframe.session;
   last_keyframe_id_ = keyframe.id;
   node_.health().set("graph.nodes", fusion_.graph_size());
+  node_.health().set("compass.not_believed", fusion_.compass_rejected());
 }
 
 void FusionService::on_fix(const map_fix_t& message) {
@@ -116,7 +158,7 @@ void FusionService::on_fix(const map_fix_t& message) {
     node_.health().add("fixes.invalid");
     return;
   }
-  fusion::Fix fix;
+  Fix fix;
   fix.utime = message.utime;
   fix.session = message.session;
   fix.keyframe_id = message.keyframe_id;
@@ -126,6 +168,14 @@ void FusionService::on_fix(const map_fix_t& message) {
   const Eigen::Quaterniond q_G_B = quaternion_of(message.q_G_B);
   fix.heading = q_G_B.coeffs().allFinite() ? heading_of(q_G_B.normalized()) : message.heading;
   fix.heading_stddev = message.heading_stddev;
+  if (std::isfinite(message.heading_correction) && message.heading_correction_stddev > 0) {
+    fix.heading_fitted = true;
+    fix.heading = message.heading;
+    fix.heading_stddev = message.heading_correction_stddev;
+  }
+  fix.scale = message.scale;
+  fix.scale_stddev = message.scale_stddev;
+  fix.num_keyframes = message.num_keyframes;
 
   const Stopwatch watch(node_);
   const Outcome outcome = fusion_.add_fix(fix);
@@ -152,23 +202,27 @@ void FusionService::on_fix(const map_fix_t& message) {
   }
 }
 
-void FusionService::report_mode(const fusion::Solution& solution) {
+void FusionService::report_mode(const Solution& solution) {
   using State = Health::State;
   switch (solution.mode) {
-    case fusion::Mode::kWaitingForVio:
+    case Mode::kWaitingForVio:
       node_.health().set_state(State::kStarting, "waiting for the odometry to initialise");
       break;
-    case fusion::Mode::kDeadReckoning:
+    case Mode::kDeadReckoning:
       node_.health().set_state(State::kStarting, "no position yet: waiting for fixes that agree");
       break;
-    case fusion::Mode::kMapAided:
+    case Mode::kMapAided:
+    case Mode::kReacquired:
       node_.health().set_state(State::kOk);
       break;
-    case fusion::Mode::kCoasting:
+    case Mode::kCoasting:
       node_.health().set_state(State::kDegraded,
                                fmt::format("no fix for {:.0f} s: the position drifts", solution.time_since_fix));
+      break;
+    case Mode::kLost:
+      node_.health().set_state(State::kFailed, "the position is lost: waiting for fixes that agree");
       break;
   }
 }
 
-}  // namespace orthonav
+}  // namespace orthonav::fusion

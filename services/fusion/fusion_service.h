@@ -1,33 +1,39 @@
-// Puts the fusion on the bus: VIO_STATE, VIO_KEYFRAME and MAP_FIX in, NAV_STATE out.
+// Puts the fusion on the bus: VIO_STATE, VIO_KEYFRAME, MAP_FIX, COMPASS and IMU in, NAV_STATE out.
 #pragma once
 
 #include <filesystem>
 
 #include "common/bus/node.h"
 #include "common/bus/service_main.h"
+#include "orthonav/compass_t.hpp"
+#include "orthonav/imu_t.hpp"
 #include "orthonav/map_fix_t.hpp"
 #include "orthonav/vio_keyframe_t.hpp"
 #include "orthonav/vio_state_t.hpp"
 #include "services/fusion/fusion.h"
 
-namespace orthonav {
+namespace orthonav::fusion {
 
 class FusionService final : public Service {
  public:
-  // Reads fusion.yaml of the folder. Throws ConfigError with file and line.
+  // Reads fusion.yaml and aircraft.yaml of the folder. Throws ConfigError with file and line.
   FusionService(Node& node, const std::filesystem::path& config_folder);
 
  private:
   void on_state(const vio_state_t& message);
   void on_keyframe(const vio_keyframe_t& message);
   void on_fix(const map_fix_t& message);
-  void report_mode(const fusion::Solution& solution);
+  void on_compass(const compass_t& message);
+  void on_imu(const imu_t& message);
+  void publish(const Solution& solution);
+  void report_mode(const Solution& solution);
 
   Node& node_;
-  fusion::Fusion fusion_;
+  Fusion fusion_;
+  double height_above_ground_ = kUnknown;  // of the newest odometry state
   int last_keyframe_session_ = 0;
   int last_keyframe_id_ = -1;
   double solve_ms_ = 0.0;
 };
 
-}  // namespace orthonav
+}  // namespace orthonav::fusion

@@ -5,6 +5,6 @@ int main(int argc, char** argv) {
       argc, argv, "fusion", "Fuses the odometry with fixes on the map: publishes where the aircraft is (NAV_STATE).",
       [](CLI::App&) {},
       [](orthonav::Node& node, const std::filesystem::path& config) {
-        return std::make_unique<orthonav::FusionService>(node, config);
+        return std::make_unique<orthonav::fusion::FusionService>(node, config);
       });
 }

@@ -1,50 +1,43 @@
-// The variables of one node of the graph: pose in G, equation (11), and the odometry's scale there.
+// The variables of one node of the graph: what is unknown about the aircraft at one keyframe.
+//
+// The odometry knows the way up and the motion between keyframes well, and four things badly: where its world W lies
+// on the map, how it is turned, its scale, and (a little) its tilt. The compass has a bias, and the map's fixes have an
+// error that neighbours share: georeference, trees over the elevation model, one set of points seen again and again.
+// All of it is one vector space, so a node needs no manifold: attitudes follow from it and the odometry's own,
+//   R_G_B = R_G_W R_W_B,   R_G_W = Rz(yaw) Exp(tilt_x, tilt_y, 0).
 #pragma once
-
-#include <array>
 
 #include <Eigen/Core>
 #include <Eigen/Geometry>
-#include <ceres/manifold.h>
 
 namespace orthonav::fusion {
 
-// Tangent of a node: (position 3, rotation vector 3, logarithm of scale 1). Rotations are perturbed on the left,
-// R = Exp(e) R_hat, so the rotation vector is in G, as in nav_state_t.
-inline constexpr int kTangent = 7;
-inline constexpr int kAmbient = 8;
-using Tangent = Eigen::Matrix<double, kTangent, 1>;
-using TangentMatrix = Eigen::Matrix<double, kTangent, kTangent>;
+inline constexpr int kStates = 11;
+using StateVector = Eigen::Matrix<double, kStates, 1>;
+using StateMatrix = Eigen::Matrix<double, kStates, kStates>;
 
-// A node as one parameter block of Ceres: p (3), q as w x y z (4), log scale (1). True displacement = exp(log
-// scale) times the odometry's: a monocular odometry's scale is wrong by some percent and drifts slowly.
+// Where each variable stands in the vector.
+inline constexpr int kPosition = 0;     // p_G_B, m (3)
+inline constexpr int kYaw = 3;          // of W in G, rad, counter-clockwise, not wrapped: the odometry's heading offset
+inline constexpr int kTilt = 4;         // of W in G, about its x and y axes, rad (2)
+inline constexpr int kScale = 6;        // logarithm of true displacement over the odometry's
+inline constexpr int kCompassBias = 7;  // compass's heading minus the true one, rad, clockwise
+inline constexpr int kShared = 8;       // what neighbouring fixes are all off by, in G, m (3); up: the vertical offset
+
 struct NodeState {
-  std::array<double, kAmbient> x{0, 0, 0, 1, 0, 0, 0, 0};
+  StateVector x = StateVector::Zero();
 
-  NodeState() = default;
-  NodeState(const Eigen::Vector3d& p_G_B, const Eigen::Quaterniond& q_G_B, double log_scale);
-
-  Eigen::Vector3d p() const { return Eigen::Vector3d(x[0], x[1], x[2]); }
-  Eigen::Quaterniond q() const { return Eigen::Quaterniond(x[3], x[4], x[5], x[6]); }
-  double log_scale() const { return x[7]; }
-
-  NodeState plus(const Tangent& delta) const;
-  // The delta with other.plus(delta) == *this.
-  Tangent minus(const NodeState& other) const;
-  // Reads a parameter block.
-  static NodeState from(const double* block);
+  Eigen::Vector3d p() const { return x.segment<3>(kPosition); }
+  double yaw() const { return x(kYaw); }
+  double log_scale() const { return x(kScale); }
+  double compass_bias() const { return x(kCompassBias); }
+  Eigen::Vector3d shared() const { return x.segment<3>(kShared); }
+  // Rotation vector about W's axes, without a yaw.
+  Eigen::Vector3d tilt() const { return Eigen::Vector3d(x(kTilt), x(kTilt + 1), 0.0); }
+  Eigen::Quaterniond q_G_W() const;
 };
 
-// Tells Ceres about the tangent space. The cost functions here give Jacobians with respect to the tangent, padded
-// to the ambient size: column 6 is zero and column 7 is the log scale. PlusJacobian picks the seven others.
-class NodeManifold final : public ceres::Manifold {
- public:
-  int AmbientSize() const override { return kAmbient; }
-  int TangentSize() const override { return kTangent; }
-  bool Plus(const double* x, const double* delta, double* x_plus_delta) const override;
-  bool PlusJacobian(const double* x, double* jacobian) const override;
-  bool Minus(const double* y, const double* x, double* y_minus_x) const override;
-  bool MinusJacobian(const double* x, double* jacobian) const override;
-};
+// Derivative of the rotation vector e in G of R_G_W = Exp(e) R_hat with respect to (yaw, tilt_x, tilt_y).
+Eigen::Matrix3d rotation_jacobian(const NodeState& node);
 
 }  // namespace orthonav::fusion

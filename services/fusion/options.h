@@ -1,54 +1,91 @@
-// Every parameter of the fusion.
+// Every parameter of the fusion. config/default/fusion.yaml says what each is for, with its unit; angles here are rad.
 #pragma once
 
 #include <filesystem>
 
 namespace orthonav::fusion {
 
-// How well a relative pose of the odometry is known.
+// How well the odometry knows the motion from one keyframe to the next.
 struct EdgeOptions {
-  double position_stddev = 0.05;            // m per edge, per axis
-  double position_stddev_per_metre = 0.02;  // of the edge's length: local errors of scale and direction
-  double rotation_stddev = 0.0005;          // rad per edge, per axis
-  double rotation_walk = 0.001;             // rad per square root of a second, per axis
-  // Whether relative_covariance of the keyframe, where known, is added to the above.
-  bool use_odometry_covariance = true;
-  double tilt_stddev = 0.02;   // rad, of the odometry's "up", per keyframe
-  double scale_stddev = 0.05;  // of the odometry's scale at the start of a segment, as a fraction
-  double scale_walk = 0.002;   // change of scale per square root of a second, as a fraction
+  double position_walk = 9e-4;          // of the height above ground, per axis and square root of a second
+  double default_height = 150.0;        // m, where the height above ground is unknown
+  double yaw_walk = 0.00026;            // rad per square root of a second
+  bool use_odometry_covariance = true;  // in place of the above where the keyframe carries one, if it is larger
+  double tilt_stddev = 0.005;           // rad, of W's "up"
+  double tilt_time = 60.0;              // s, over which the tilt forgets
+  double scale_stddev = 0.02;           // of the odometry's scale, as a fraction
+  double scale_time = 120.0;            // s, over which it forgets
+  double velocity_stddev = 3.2e-4;      // 1/s, of the odometry's velocity per axis, over the height above ground
 };
 
 // How well a fix is known.
 struct FixOptions {
-  double horizontal_stddev_floor = 3.0;  // m per axis: errors that neighbouring fixes share and no fix reports
-  double vertical_stddev_floor = 6.0;    // m
-  double default_stddev = 5.0;           // m per axis where the fix carries no covariance
-  double default_heading_stddev = 0.09;  // rad, where the fix carries none
-  bool height_from_odometry = true;      // the fix's height over the ground has the odometry's scale
-  double huber = 1.5;                    // standard deviations from which a fix counts linearly, equation (15)
+  double shared_horizontal_stddev = 1.5;  // m per axis: an error that neighbouring fixes share and none reports
+  double shared_vertical_stddev = 2.0;    // m
+  double shared_distance = 40.0;          // m of way over which it is forgotten
+  double stddev_floor = 0.5;              // m per axis, added to what a fix says of itself
+  double default_stddev = 5.0;            // m per axis where the fix carries no covariance
+  double huber = 1.5;                     // standard deviations from which a fix counts linearly, equation (15)
+};
+
+// How well the compass is known, and headings of fixes that come from it.
+struct CompassOptions {
+  double bias_stddev = 0.09;   // rad, of the installation
+  double bias_time = 600.0;    // s, over which it forgets
+  double noise_stddev = 0.05;  // rad, of one reading: nearby iron, tilt
+  double innovation = 4.0;     // Mahalanobis distance above which a reading is not used
+  double huber = 2.0;          // standard deviations from which it counts linearly
+  double fix_stddev = 0.09;    // rad, of the heading of a fix that carries none
 };
 
 // When fixes are believed.
 struct GateOptions {
-  int memory = 100;         // newest fixes, believed or not, that are searched for agreement
-  int lock_fixes = 3;       // fixes that must agree with each other before the first position
-  int relock_fixes = 5;     // the same, at least, to move a solution; they must also outnumber those believed
-  double agreement = 3.0;   // Mahalanobis distance below which two fixes agree about the motion between them
-  double innovation = 4.0;  // Mahalanobis distance from the solution above which a fix is an outlier
+  int memory = 100;             // newest fixes, believed or not, that are searched for agreement
+  int lock_fixes = 4;           // fixes that must agree with each other before the first position
+  double lock_distance = 12.0;  // m of way that they must span: a wrong place seldom moves with the aircraft for long
+  int lock_margin = 2;          // by how many they must outnumber those that agree on another place
+  int relock_fixes = 5;         // the same, at least, to move a solution; they must outnumber all that were believed,
+  double lost_after = 45.0;     // or none was believed for so many seconds
+  double agreement = 3.0;       // Mahalanobis distance below which two fixes agree about the motion between them
+  double innovation = 4.0;      // Mahalanobis distance from the solution above which a fix is an outlier
+};
+
+// Bounds of the error that hold though fixes may be wrong.
+struct ProtectionOptions {
+  double exposure = 30.0;          // s: all fixes of the newest stretch of this length may be wrong at once
+  int confirm_fixes = 12;          // fixes believed since the lock before there is a bound at all
+  double confirm_distance = 40.0;  // m of way that they must span
+  double lost_level = 100.0;       // m: with a larger horizontal level the position counts as lost
+};
+
+// Propagation by the inertial sensor between odometry states, and while the odometry restarts.
+struct InertialOptions {
+  double gravity = 9.81;            // m/s^2; aircraft.yaml, imu
+  double accel_noise = 2e-3;        // m/s^2/sqrt(Hz); aircraft.yaml, imu
+  double gyro_noise = 1.7e-4;       // rad/s/sqrt(Hz); aircraft.yaml, imu
+  double accel_bias_stddev = 0.05;  // m/s^2, of the bias that the odometry gives
+  double gyro_bias_stddev = 0.001;  // rad/s, of the bias that the odometry gives
+  double max_gap = 0.05;            // s without a sample: what follows cannot be integrated
+  double max_time = 10.0;           // s without an odometry state after which there is no position
 };
 
 struct FusionOptions {
   int window_keyframes = 200;   // nodes that are optimised; older ones become a prior. 0: the whole trajectory
   int max_iterations = 4;       // of a solution, which starts at the last one
   double coasting_after = 5.0;  // s without a fix
+  double reacquired_for = 5.0;  // s that the mode says so
   double reset_jump = 5.0;      // m: a correction larger than this increments the reset counter
   double max_speed = 100.0;     // m/s: faster odometry is a failure
+  double declination = 0.0;     // rad, east positive; aircraft.yaml
   EdgeOptions edge;
   FixOptions fix;
+  CompassOptions compass;
   GateOptions gate;
+  ProtectionOptions protection;
+  InertialOptions inertial;
 
-  // Reads fusion.yaml. Throws ConfigError with file and line.
-  static FusionOptions load(const std::filesystem::path& file);
+  // Reads fusion.yaml, and of aircraft.yaml what it needs. Throws ConfigError with file and line.
+  static FusionOptions load(const std::filesystem::path& folder);
 };
 
 }  // namespace orthonav::fusion

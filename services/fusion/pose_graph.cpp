@@ -5,133 +5,122 @@
 #include <stdexcept>
 
 #include <Eigen/Cholesky>
-#include <ceres/loss_function.h>
-#include <ceres/solver.h>
 
 namespace orthonav::fusion {
 namespace {
 
-// A compass can be wrong by more than it says, and there is one of it: beyond two standard deviations it only pulls.
-constexpr double kYawHuber = 2.0;
-// Standard deviation of the log scale that stands for "fixed": a hundredth of a millimetre per metre.
-constexpr double kFixedScale = 1e-5;
-
-using PaddedRows = Eigen::Matrix<double, Eigen::Dynamic, kAmbient, Eigen::RowMajor>;
-using TangentRows = Eigen::Matrix<double, Eigen::Dynamic, kTangent>;
-
-TangentRows without_padding(const PaddedRows& padded) {
-  TangentRows J(padded.rows(), kTangent);
-  J.leftCols<6>() = padded.leftCols<6>();
-  J.col(6) = padded.col(7);
-  return J;
-}
-
-ceres::Problem::Options problem_options() {
-  ceres::Problem::Options options;
-  options.cost_function_ownership = ceres::DO_NOT_TAKE_OWNERSHIP;
-  options.loss_function_ownership = ceres::DO_NOT_TAKE_OWNERSHIP;
-  options.manifold_ownership = ceres::DO_NOT_TAKE_OWNERSHIP;
-  // Not enable_fast_removal: its sets are ordered by address, and so would the sums be: a replay would not repeat.
-  return options;
-}
+// A step that changes no node's marginal by more than this fraction of its standard deviation ends the iterations:
+// far below what a pilot or a later solution notices.
+constexpr double kConverged = 0.02;
 
 double seconds_between(int64_t from, int64_t to) {
   return 1e-6 * static_cast<double>(to - from);
 }
 
-}  // namespace
-
-Matrix6d edge_covariance(const EdgeOptions& options, double distance, double duration) {
-  const double position =
-      options.position_stddev * options.position_stddev + std::pow(options.position_stddev_per_metre * distance, 2);
-  const double rotation = options.rotation_stddev * options.rotation_stddev +
-                          options.rotation_walk * options.rotation_walk * std::max(0.0, duration);
-  Matrix6d covariance = Matrix6d::Zero();
-  covariance.diagonal() << position, position, position, rotation, rotation, rotation;
-  return covariance;
+StateMatrix inverse(const StateMatrix& information) {
+  return information.llt().solve(StateMatrix::Identity());
 }
 
-PoseGraph::PoseGraph(const FusionOptions& options)
-    : options_(options),
-      position_loss_(std::make_unique<ceres::HuberLoss>(options.fix.huber)),
-      yaw_loss_(std::make_unique<ceres::HuberLoss>(kYawHuber)),
-      problem_(std::make_unique<ceres::Problem>(problem_options())) {}
+}  // namespace
 
-PoseGraph::~PoseGraph() = default;
+double working_height(const EdgeOptions& edge, const Keyframe& keyframe) {
+  const double height = keyframe.height_above_ground;
+  return height >= 1.0 && height <= 1e5 ? height : edge.default_height;
+}
 
-void PoseGraph::start(const Keyframe& keyframe, const Eigen::Vector3d& p_G_B, const Eigen::Quaterniond& q_G_B) {
+Transition transition_between(const FusionOptions& options, const Keyframe& from, const Keyframe& to,
+                              const Eigen::Quaterniond& q_G_W) {
+  const EdgeOptions& edge = options.edge;
+  const double duration = std::max(1e-3, seconds_between(from.utime, to.utime));
+  Transition transition;
+  transition.dp_W = to.p_W_B - from.p_W_B;
+  const double distance = transition.dp_W.norm();
+  const double walk = edge.position_walk * working_height(edge, to);
+  Eigen::Matrix3d covariance = walk * walk * duration * Eigen::Matrix3d::Identity();
+  double yaw_variance = edge.yaw_walk * edge.yaw_walk * duration;
+  if (edge.use_odometry_covariance && to.id == from.id + 1 && to.relative_covariance.allFinite()) {
+    // The odometry's own word where it is the more modest one: its errors go on from edge to edge, which the graph
+    // takes to be independent, and the figures of the configuration are those of whole stretches.
+    const Eigen::Matrix3d R_G_Bi = (q_G_W * from.q_W_B).toRotationMatrix();
+    const Eigen::Vector3d up_Bj = to.q_W_B.conjugate() * Eigen::Vector3d::UnitZ();
+    const Eigen::Matrix3d own = R_G_Bi * to.relative_covariance.topLeftCorner<3, 3>() * R_G_Bi.transpose();
+    if (own.trace() > covariance.trace()) covariance = own;
+    yaw_variance = std::max(yaw_variance, up_Bj.dot(to.relative_covariance.bottomRightCorner<3, 3>() * up_Bj));
+  }
+  transition.position_root = sqrt_information(covariance);
+
+  const auto forget = [&](int index, double stddev, double ratio) {
+    transition.decay(index) = std::exp(-ratio);
+    // At a hover nothing is forgotten; a term of the graph must still be finite.
+    transition.stddev(index) = stddev * std::sqrt(std::max(1e-9, -std::expm1(-2.0 * ratio)));
+  };
+  transition.stddev(kYaw) = std::sqrt(yaw_variance);
+  forget(kTilt, edge.tilt_stddev, duration / edge.tilt_time);
+  forget(kTilt + 1, edge.tilt_stddev, duration / edge.tilt_time);
+  forget(kScale, edge.scale_stddev, duration / edge.scale_time);
+  forget(kCompassBias, options.compass.bias_stddev, duration / options.compass.bias_time);
+  const double way = distance / options.fix.shared_distance;
+  forget(kShared, options.fix.shared_horizontal_stddev, way);
+  forget(kShared + 1, options.fix.shared_horizontal_stddev, way);
+  forget(kShared + 2, options.fix.shared_vertical_stddev, way);
+  return transition;
+}
+
+PoseGraph::PoseGraph(const FusionOptions& options) : options_(options) {}
+
+void PoseGraph::start(const Keyframe& keyframe, const NodeState& guess, const StateVector& stddev) {
   if (!nodes_.empty()) throw std::invalid_argument("PoseGraph::start: the graph has nodes already");
-  nodes_.emplace_back();
-  Node& node = nodes_.back();
+  Node& node = nodes_.emplace_back();
   node.keyframe = keyframe;
-  node.state = NodeState(p_G_B, q_G_B.normalized(), 0.0);
-  problem_->AddParameterBlock(node.state.x.data(), kAmbient, &manifold_);
-  const double scale_stddev = std::max(kFixedScale, options_.edge.scale_stddev);
-  TangentMatrix scale_only = TangentMatrix::Zero();
-  scale_only(6, 6) = 1.0 / scale_stddev;
-  add_unary(node, std::make_unique<PriorFactor>(node.state, scale_only), nullptr);
-  const Eigen::Vector3d up_B = keyframe.q_W_B.conjugate() * Eigen::Vector3d::UnitZ();
-  add_unary(node, std::make_unique<TiltFactor>(up_B, options_.edge.tilt_stddev), nullptr);
-  chain_.append(linearise_unaries(node));
+  node.state = guess;
+  node.prior.emplace();
+  node.prior->point = guess;
+  node.prior->cost.H = stddev.cwiseAbs2().cwiseInverse().asDiagonal();
+  chain_.append(own(node));
 }
 
 void PoseGraph::append(const Keyframe& keyframe) {
   if (nodes_.empty()) throw std::invalid_argument("PoseGraph::append: the graph has not been started");
-  Node& before = nodes_.back();
-  const double duration = seconds_between(before.keyframe.utime, keyframe.utime);
-  if (keyframe.id <= before.keyframe.id || duration <= 0.0) {
+  const Node& before = nodes_.back();
+  if (keyframe.id <= before.keyframe.id || keyframe.utime <= before.keyframe.utime) {
     throw std::invalid_argument("PoseGraph::append: keyframe ids and times must grow");
   }
-  const Eigen::Quaterniond q_i_inverse = before.keyframe.q_W_B.conjugate();
-  const Eigen::Vector3d dp = q_i_inverse * (keyframe.p_W_B - before.keyframe.p_W_B);
-  const Eigen::Quaterniond dq = (q_i_inverse * keyframe.q_W_B).normalized();
-  Matrix6d covariance = edge_covariance(options_.edge, dp.norm(), duration);
-  if (options_.edge.use_odometry_covariance && keyframe.id == before.keyframe.id + 1 &&
-      keyframe.relative_covariance.allFinite()) {
-    covariance += keyframe.relative_covariance;
-  }
-  const double scale_stddev = std::max(kFixedScale, options_.edge.scale_walk * std::sqrt(duration));
-
-  nodes_.emplace_back();
-  Node& node = nodes_.back();
-  const NodeState& from = before.state;
+  Node node;
   node.keyframe = keyframe;
-  node.state = NodeState(from.p() + from.q() * (std::exp(from.log_scale()) * dp), (from.q() * dq).normalized(),
-                         from.log_scale());
-  node.tie = std::make_unique<RelativeFactor>(dp, dq, covariance, scale_stddev);
-  problem_->AddParameterBlock(node.state.x.data(), kAmbient, &manifold_);
-  problem_->AddResidualBlock(node.tie.get(), nullptr, before.state.x.data(), node.state.x.data());
-  const Eigen::Vector3d up_B = keyframe.q_W_B.conjugate() * Eigen::Vector3d::UnitZ();
-  add_unary(node, std::make_unique<TiltFactor>(up_B, options_.edge.tilt_stddev), nullptr);
-  chain_.append(linearise_unaries(node), linearise_tie(before, node));
+  node.tie = transition_between(options_, before.keyframe, keyframe, before.state.q_G_W());
+  node.state = predict(*node.tie, before.state);
+  nodes_.push_back(std::move(node));
+  chain_.append(own(nodes_.back()), tie(nodes_.size() - 1));
 }
 
 void PoseGraph::add_position(int id, const Eigen::Vector3d& p_G_B, const Eigen::Matrix3d& covariance) {
+  at(id).positions.push_back({p_G_B, sqrt_information(covariance)});
+}
+
+void PoseGraph::add_map_heading(int id, double heading, double stddev) {
   Node& node = at(id);
-  const double height = node.keyframe.height_above_ground;
-  const bool depends = options_.fix.height_from_odometry && std::isfinite(height);
-  add_unary(node, std::make_unique<PositionFactor>(p_G_B, covariance, depends ? height : 0.0), position_loss_.get());
+  node.map_headings.push_back({heading, stddev, false, node.keyframe.q_W_B * Eigen::Vector3d::UnitX()});
 }
 
-void PoseGraph::add_yaw(int id, double yaw, double stddev) {
-  add_unary(at(id), std::make_unique<YawFactor>(yaw, stddev), yaw_loss_.get());
+void PoseGraph::add_scale(int id, double log_scale, double stddev) {
+  at(id).scales.push_back({log_scale, stddev});
 }
 
-void PoseGraph::add_unary(Node& node, std::unique_ptr<ceres::CostFunction> cost, ceres::LossFunction* loss) {
-  problem_->AddResidualBlock(cost.get(), loss, node.state.x.data());
-  node.unaries.push_back({std::move(cost), loss});
+void PoseGraph::add_compass(int id, double heading, double stddev) {
+  Node& node = at(id);
+  node.headings.push_back({heading, stddev, true, node.keyframe.q_W_B * Eigen::Vector3d::UnitX()});
+  if (&node == &nodes_.back())
+    chain_.add_to_newest(linearise(node.headings.back(), node.state, options_.compass.huber));
 }
 
 void PoseGraph::solve() {
-  ceres::Solver::Options options;
-  options.linear_solver_type = ceres::SPARSE_NORMAL_CHOLESKY;
-  options.num_threads = 1;
-  options.max_num_iterations = options_.max_iterations;
-  // A hundredth of a standard deviation is far below what a pilot or a later solution notices.
-  options.function_tolerance = 1e-4;
-  options.logging_type = ceres::SILENT;
-  ceres::Solver::Summary summary;
-  ceres::Solve(options, problem_.get(), &summary);
+  for (int iteration = 0; iteration < options_.max_iterations; ++iteration) {
+    relinearise();
+    const std::vector<StateVector> change = chain_.solve();
+    for (size_t k = 0; k < nodes_.size(); ++k) nodes_[k].state.x += change[k];
+    const StateVector newest_stddev = inverse(chain_.information(size() - 1)).diagonal().cwiseSqrt();
+    if (change.back().cwiseQuotient(newest_stddev).cwiseAbs().maxCoeff() < kConverged) break;
+  }
   relinearise();
   if (options_.window_keyframes > 0) {
     while (size() > options_.window_keyframes) marginalise_oldest();
@@ -151,66 +140,60 @@ size_t PoseGraph::index_of(int id) const {
   return static_cast<size_t>(found - nodes_.begin());
 }
 
-TangentMatrix PoseGraph::covariance(int id) const {
-  const TangentMatrix information = chain_.information(static_cast<int>(index_of(id)));
-  return information.ldlt().solve(TangentMatrix::Identity());
+Estimate PoseGraph::estimate(int id) const {
+  const size_t index = index_of(id);
+  return {nodes_[index].state, inverse(chain_.information(static_cast<int>(index)))};
 }
 
-Quadratic PoseGraph::linearise_unaries(const Node& node) const {
-  Quadratic sum;
-  const double* block = node.state.x.data();
-  for (const Unary& unary : node.unaries) {
-    const int rows = unary.cost->num_residuals();
-    Eigen::VectorXd r(rows);
-    PaddedRows padded(rows, kAmbient);
-    double* jacobian = padded.data();
-    unary.cost->Evaluate(&block, r.data(), &jacobian);
-    double weight = 1.0;
-    if (unary.loss != nullptr) {
-      double rho[3];
-      unary.loss->Evaluate(r.squaredNorm(), rho);
-      weight = rho[1];
-    }
-    const TangentRows J = without_padding(padded);
-    sum.H += weight * J.transpose() * J;
-    sum.b += weight * J.transpose() * r;
+std::optional<Estimate> PoseGraph::without_fixes_after(int64_t utime) const {
+  size_t first = nodes_.size();
+  while (first > 0 && nodes_[first - 1].keyframe.utime > utime) --first;
+  if (first == 0) return std::nullopt;
+  // Up to the node before, the chain's own forward sweep holds.
+  Quadratic before = chain_.forward(static_cast<int>(first) - 1);
+  before += own(nodes_[first - 1]);
+  for (size_t k = first; k < nodes_.size(); ++k) {
+    before = eliminate_first(before, tie(k)).left;
+    before += own_without_fixes(nodes_[k]);
   }
+  Estimate result;
+  result.covariance = inverse(before.H);
+  result.state.x = nodes_.back().state.x - result.covariance * before.b;
+  return result;
+}
+
+Quadratic PoseGraph::own_without_fixes(const Node& node) const {
+  Quadratic sum;
+  if (node.prior) sum += linearise(*node.prior, node.state);
+  for (const HeadingMeasurement& heading : node.headings) sum += linearise(heading, node.state, options_.compass.huber);
   return sum;
 }
 
-PairQuadratic PoseGraph::linearise_tie(const Node& before, const Node& node) const {
-  const double* blocks[2] = {before.state.x.data(), node.state.x.data()};
-  Tangent r;
-  PaddedRows padded_i(kTangent, kAmbient);
-  PaddedRows padded_j(kTangent, kAmbient);
-  double* jacobians[2] = {padded_i.data(), padded_j.data()};
-  node.tie->Evaluate(blocks, r.data(), jacobians);
-  const TangentMatrix J_i = without_padding(padded_i);
-  const TangentMatrix J_j = without_padding(padded_j);
-  PairQuadratic pair;
-  pair.i.H = J_i.transpose() * J_i;
-  pair.i.b = J_i.transpose() * r;
-  pair.j.H = J_j.transpose() * J_j;
-  pair.j.b = J_j.transpose() * r;
-  pair.H_ij = J_i.transpose() * J_j;
-  return pair;
+Quadratic PoseGraph::own(const Node& node) const {
+  Quadratic sum = own_without_fixes(node);
+  for (const HeadingMeasurement& heading : node.map_headings) {
+    sum += linearise(heading, node.state, options_.compass.huber);
+  }
+  for (const ScaleMeasurement& scale : node.scales) sum += linearise(scale, node.state, options_.fix.huber);
+  for (const PositionMeasurement& position : node.positions) sum += linearise(position, node.state, options_.fix.huber);
+  return sum;
+}
+
+PairQuadratic PoseGraph::tie(size_t index) const {
+  return linearise(*nodes_[index].tie, nodes_[index - 1].state, nodes_[index].state);
 }
 
 void PoseGraph::relinearise() {
   chain_.clear();
-  for (size_t k = 0; k < nodes_.size(); ++k) {
-    const PairQuadratic tie = k == 0 ? PairQuadratic{} : linearise_tie(nodes_[k - 1], nodes_[k]);
-    chain_.append(linearise_unaries(nodes_[k]), tie);
-  }
+  chain_.append(own(nodes_.front()));
+  for (size_t k = 1; k < nodes_.size(); ++k) chain_.append(own(nodes_[k]), tie(k));
 }
 
 void PoseGraph::marginalise_oldest() {
-  const Quadratic left = eliminate_first(linearise_unaries(nodes_[0]), linearise_tie(nodes_[0], nodes_[1]));
-  auto prior = PriorFactor::from_quadratic(nodes_[1].state, left.H, left.b);
-  problem_->RemoveParameterBlock(nodes_[0].state.x.data());  // with its residuals
+  Node& heir = nodes_[1];
+  heir.prior = Prior{heir.state, chain_.forward(1)};
+  heir.tie.reset();
   nodes_.pop_front();
-  nodes_[0].tie.reset();
-  add_unary(nodes_[0], std::move(prior), nullptr);
   chain_.drop_oldest();
 }
 

@@ -1,20 +1,19 @@
-// The pose graph of one segment: keyframes of one odometry session, tied to each other by the odometry and to the
-// map by fixes. Equations (11) to (15).
+// The graph of one segment: keyframes of one odometry session, tied to each other by the odometry and to the map by
+// fixes, equations (11) to (15), and to north by the compass.
 //
-// Beyond the paper: each node carries the odometry's scale, and "up" is tied to the odometry's, which does not drift.
-// The newest `window_keyframes` nodes are optimised by Ceres from the last solution; what the older ones knew is kept
-// as a Gaussian on the oldest node. On a chain that is exact up to linearisation and makes the cost per solution
+// Beyond the paper, each node carries what is unknown about the odometry, the compass and the fixes (node_state.h).
+// The newest `window_keyframes` nodes are solved by Gauss-Newton steps from the last solution; what the older ones
+// knew is kept as a Gaussian on the oldest node. On a chain that is exact up to linearisation and makes time and memory
 // constant; with window_keyframes = 0 the whole trajectory is solved each time, as in the paper.
 //
 // Deterministic; not thread-safe.
 #pragma once
 
 #include <deque>
-#include <memory>
+#include <optional>
 #include <vector>
 
 #include <Eigen/Core>
-#include <ceres/problem.h>
 
 #include "services/fusion/chain.h"
 #include "services/fusion/factors.h"
@@ -24,24 +23,36 @@
 
 namespace orthonav::fusion {
 
-// The uncertainty of the motion between two keyframes `distance` metres and `duration` seconds apart, for
-// (position in the first B, rotation vector in the second B).
-Matrix6d edge_covariance(const EdgeOptions& options, double distance, double duration);
+// A node with its marginal covariance.
+struct Estimate {
+  NodeState state;
+  StateMatrix covariance = StateMatrix::Zero();
+};
+
+// Height that the odometry's errors grow with, m: it sees its way in pixels.
+double working_height(const EdgeOptions& edge, const Keyframe& keyframe);
+
+// The motion between two keyframes as the graph sees it; `q_G_W` turns the odometry's covariance into G.
+Transition transition_between(const FusionOptions& options, const Keyframe& from, const Keyframe& to,
+                              const Eigen::Quaterniond& q_G_W);
 
 class PoseGraph {
  public:
   explicit PoseGraph(const FusionOptions& options);
-  ~PoseGraph();
 
-  // First node, at a guess of its pose in G.
-  void start(const Keyframe& keyframe, const Eigen::Vector3d& p_G_B, const Eigen::Quaterniond& q_G_B);
-  // Next node, predicted by the odometry's motion from the newest one. Its relative covariance counts when
-  // its id follows the newest node's. Ids and times must grow (std::invalid_argument).
+  // First node, at a guess with independent standard deviations (> 0) of each variable.
+  void start(const Keyframe& keyframe, const NodeState& guess, const StateVector& stddev);
+  // Next node, predicted by the odometry's motion from the newest one. Its relative covariance counts when its
+  // id follows the newest node's. Ids and times must grow (std::invalid_argument).
   void append(const Keyframe& keyframe);
 
-  // Adds a fix, or a yaw (counter-clockwise from east), to a node. Throws std::out_of_range without that node.
+  // What is measured at a node; std::out_of_range without that node. Of a fix: its position, with the covariance of
+  // what it does not share with its neighbours; the true heading of the body's x axis (clockwise from north) and the
+  // logarithm of the odometry's scale, where it fitted them. Of the compass: its heading, declination applied.
   void add_position(int id, const Eigen::Vector3d& p_G_B, const Eigen::Matrix3d& covariance);
-  void add_yaw(int id, double yaw, double stddev);
+  void add_map_heading(int id, double heading, double stddev);
+  void add_scale(int id, double log_scale, double stddev);
+  void add_compass(int id, double heading, double stddev);
 
   // Optimises from the current state, then gives nodes beyond the window up to the prior.
   void solve();
@@ -52,37 +63,36 @@ class PoseGraph {
   const NodeState& state(int id) const { return at(id).state; }
   int size() const { return static_cast<int>(nodes_.size()); }
 
-  // Marginal covariance of a node's tangent: (position, rotation vector in G, log scale).
-  TangentMatrix covariance(int id) const;
+  // A node's state and marginal covariance. Linear in the distance to the newest node.
+  Estimate estimate(int id) const;
+  // The newest node as if no fix of a keyframe after `utime` had come; nullopt when that is beyond the window, so that
+  // nothing can be said.
+  std::optional<Estimate> without_fixes_after(int64_t utime) const;
 
  private:
-  struct Unary {
-    std::unique_ptr<ceres::CostFunction> cost;
-    ceres::LossFunction* loss = nullptr;  // not owned
-  };
   struct Node {
     Keyframe keyframe;
     NodeState state;
-    std::vector<Unary> unaries;
-    std::unique_ptr<RelativeFactor> tie;  // to the node before
+    std::optional<Prior> prior;
+    std::optional<Transition> tie;                 // to the node before
+    std::vector<HeadingMeasurement> headings;      // of the compass
+    std::vector<HeadingMeasurement> map_headings;  // of fixes
+    std::vector<ScaleMeasurement> scales;
+    std::vector<PositionMeasurement> positions;
   };
 
   size_t index_of(int id) const;
   const Node& at(int id) const { return nodes_[index_of(id)]; }
   Node& at(int id) { return nodes_[index_of(id)]; }
-  void add_unary(Node& node, std::unique_ptr<ceres::CostFunction> cost, ceres::LossFunction* loss);
-  Quadratic linearise_unaries(const Node& node) const;
-  PairQuadratic linearise_tie(const Node& before, const Node& node) const;
+  Quadratic own_without_fixes(const Node& node) const;
+  Quadratic own(const Node& node) const;
+  PairQuadratic tie(size_t index) const;
   void relinearise();
   void marginalise_oldest();
 
   FusionOptions options_;
-  NodeManifold manifold_;
-  std::unique_ptr<ceres::LossFunction> position_loss_;
-  std::unique_ptr<ceres::LossFunction> yaw_loss_;
-  std::deque<Node> nodes_;  // a deque, because Ceres holds the addresses of the states
-  Chain chain_;
-  std::unique_ptr<ceres::Problem> problem_;
+  std::deque<Node> nodes_;
+  Chain chain_;  // linearised at the nodes' states
 };
 
 }  // namespace orthonav::fusion

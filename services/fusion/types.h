@@ -25,7 +25,9 @@ struct OdometryState {
   bool has_pose = false;  // false while the odometry initialises
   Eigen::Vector3d p_W_B = Eigen::Vector3d::Zero();
   Eigen::Quaterniond q_W_B = Eigen::Quaterniond::Identity();
-  Eigen::Vector3d v_W_B = Eigen::Vector3d::Zero();  // m/s; NaN: unknown
+  Eigen::Vector3d v_W_B = Eigen::Vector3d::Zero();       // m/s; NaN: unknown
+  Eigen::Vector3d gyro_bias = Eigen::Vector3d::Zero();   // rad/s, in B
+  Eigen::Vector3d accel_bias = Eigen::Vector3d::Zero();  // m/s^2, in B
 };
 
 // A keyframe of the odometry: one node of the graph.
@@ -50,30 +52,61 @@ struct Fix {
   Eigen::Matrix3d covariance = Eigen::Matrix3d::Constant(kUnknown);  // m^2, east north up; NaN: unknown
   double heading = kUnknown;         // rad, true heading of B's x axis, clockwise from north; required
   double heading_stddev = kUnknown;  // rad; NaN: unknown
+  bool heading_fitted = false;       // to the map, with heading_stddev; else it is the compass's
+  double scale = kUnknown;           // true displacement over the odometry's, fitted to the map; NaN: it was not
+  double scale_stddev = kUnknown;
+  int num_keyframes = 1;  // whose points it matched: so many neighbouring fixes share most of their evidence
 };
 
+// A reading of the compass.
+struct CompassReading {
+  int64_t utime = 0;
+  double heading = kUnknown;         // rad, magnetic, of B's x axis, clockwise; NaN: unknown
+  double heading_stddev = kUnknown;  // rad; NaN: unknown
+};
+
+// A sample of the inertial sensor, in B.
+struct ImuSample {
+  int64_t utime = 0;
+  Eigen::Vector3d angular_rate = Eigen::Vector3d::Zero();    // rad/s
+  Eigen::Vector3d specific_force = Eigen::Vector3d::Zero();  // m/s^2
+};
+
+// What the output is worth; mode.h has the transitions between them.
 enum class Mode : int8_t {
   kWaitingForVio = 0,
-  kDeadReckoning = 1,  // odometry without a fix: poses are in W
+  kDeadReckoning = 1,  // odometry, and never a position yet: poses are in W
   kMapAided = 2,
-  kCoasting = 3,  // no fix for longer than the configured time
+  kCoasting = 3,    // no fix for longer than the configured time: the covariance grows
+  kLost = 4,        // there was a position, and it is gone, contradicted or too uncertain
+  kReacquired = 5,  // map-aided again, for the first seconds after being lost or after a move to another place
 };
 
-// Where the aircraft is, for one odometry state. Before the first fix of a segment p, v and q are in W, and
-// geodetic, anchor, covariance and time_since_fix are NaN.
+// Where the aircraft is. Without a position on the map p, v and q are in W, and geodetic, anchor, covariances,
+// protection levels and time_since_fix are NaN.
 struct Solution {
   int64_t utime = 0;
   Mode mode = Mode::kWaitingForVio;
   int session = 0;
+  bool inertial = false;  // propagated by the inertial sensor; false: at an odometry state
   Geodetic position{kUnknown, kUnknown, kUnknown};
   Geodetic anchor{kUnknown, kUnknown, kUnknown};
   Eigen::Vector3d p_G_B = Eigen::Vector3d::Constant(kUnknown);
   Eigen::Vector3d v_G_B = Eigen::Vector3d::Constant(kUnknown);
   Eigen::Quaterniond q_G_B{kUnknown, kUnknown, kUnknown, kUnknown};
   Matrix6d covariance = Matrix6d::Constant(kUnknown);  // (position, rotation vector in G: R = Exp(e) R_hat)
-  double time_since_fix = kUnknown;                    // s
-  int num_fixes = 0;                                   // in use in this segment
-  int reset_counter = 0;                               // grows whenever the position jumps other than by moving
+  Eigen::Matrix3d velocity_covariance = Eigen::Matrix3d::Constant(kUnknown);  // m^2/s^2
+  double horizontal_protection_level = kUnknown;                              // m, protection.h
+  double vertical_protection_level = kUnknown;                                // m
+  double scale = kUnknown;                                                    // true displacement over the odometry's
+  double heading_offset = kUnknown;                                           // rad, of W in G, counter-clockwise
+  double compass_bias = kUnknown;     // rad, the compass's heading minus the true one
+  double vertical_offset = kUnknown;  // m, by which the fixes here are too high
+  double time_since_fix = kUnknown;   // s
+  int num_fixes = 0;                  // in use in this segment
+  int reset_counter = 0;              // grows whenever the position jumps other than by moving
+
+  bool located() const { return position.latitude_deg == position.latitude_deg; }
 };
 
 // What became of an input.
@@ -88,6 +121,7 @@ enum class Outcome {
   kTooLate,          // the keyframe has left the graph
   kOldSession,       // of a session that is over
   kDuplicate,        // that keyframe, or a fix of it, is already here
+  kOutOfOrder,       // not newer than the one before
   kJump,             // the odometry moved faster than any aircraft of this kind
 };
 

@@ -43,8 +43,8 @@ TEST_F(Evaluate, PositionErrorsAreThoseThatWereMade) {
 
 TEST_F(Evaluate, NeesIsTheSquaredErrorOverTheReportedVariance) {
   const Metrics metrics = evaluate(read({.nav_error = {3.0, 0.0, 0.0}, .nav_stddev = 1.5}));
-  EXPECT_NEAR(metrics.fusion.nees_position, 4.0 / 3.0, 1e-6);
-  EXPECT_NEAR(metrics.fusion.nees_horizontal, 2.0, 1e-6);
+  EXPECT_NEAR(metrics.fusion.nees.position, 4.0 / 3.0, 1e-6);
+  EXPECT_NEAR(metrics.fusion.nees.horizontal, 2.0, 1e-6);
   EXPECT_EQ(metrics.fusion.within_3_sigma, 1.0);
 }
 

@@ -1,5 +1,10 @@
-// Accuracy and cost of the fusion on synthetic flights, over seeds:
-//   bench_fusion [SEEDS] [--config FOLDER]
+// Accuracy, consistency and cost of the fusion on synthetic flights, over seeds:
+//   bench_fusion [SEEDS] [--config FOLDER] [--whole]
+//
+// "in 95 %": the part of the epochs at which the mean over the seeds of the normalised estimation error squared
+// (position; position and attitude) lies within its 95 % bounds, those of a chi-squared variable.
+#include <algorithm>
+#include <cmath>
 #include <cstdio>
 #include <filesystem>
 #include <string>
@@ -13,6 +18,32 @@
 using namespace orthonav;
 using namespace orthonav::fusion;
 
+namespace {
+
+// Quantile of the mean, per degree of freedom, of a chi-squared variable with n degrees (Wilson and Hilferty).
+double chi_squared_quantile(double z, double n) {
+  return std::pow(1.0 - 2.0 / (9.0 * n) + z * std::sqrt(2.0 / (9.0 * n)), 3);
+}
+
+// Part of the epochs, in %, at which the mean over the flights is within its 95 % bounds.
+double share_within_bounds(const std::vector<std::vector<double>>& of_flights, int degrees) {
+  size_t epochs = of_flights.front().size();
+  for (const auto& flight : of_flights) epochs = std::min(epochs, flight.size());
+  int judged = 0, inside = 0;
+  for (size_t k = 0; k < epochs; ++k) {
+    double sum = 0;
+    for (const auto& flight : of_flights) sum += flight[k];
+    const double mean = sum / static_cast<double>(of_flights.size());
+    if (std::isnan(mean)) continue;  // one of them had no position yet
+    const double n = degrees * static_cast<double>(of_flights.size());
+    ++judged;
+    inside += mean > chi_squared_quantile(-1.96, n) && mean < chi_squared_quantile(1.96, n) ? 1 : 0;
+  }
+  return 100.0 * inside / std::max(1, judged);
+}
+
+}  // namespace
+
 int main(int argc, char** argv) {
   CLI::App app{"Accuracy and cost of the fusion on synthetic flights, medians over seeds."};
   int seeds = 5;
@@ -23,7 +54,8 @@ int main(int argc, char** argv) {
   app.add_flag("--whole", whole, "solve the whole trajectory instead of the window");
   CLI11_PARSE(app, argc, argv);
   FusionOptions options;
-  if (!config.empty()) options = FusionOptions::load(config / "fusion.yaml");
+  if (!config.empty()) options = FusionOptions::load(config);
+  options.declination = 0.0;
   if (whole) options.window_keyframes = 0;
 
   SyntheticOptions rural;
@@ -44,9 +76,10 @@ int main(int argc, char** argv) {
   rare.wrong_run_length = 4;
   const std::vector<std::pair<std::string, SyntheticOptions>> kinds{
       {"rural", rural}, {"zone", zone}, {"runs", runs}, {"wrong start", wrong_start}, {"rare fixes", rare}};
-  std::printf("%-12s %7s %7s %7s %8s %8s %6s %6s %6s %7s %7s %6s\n", "flight", "rmse", "horiz", "vert", "worst",
-              "heading", "nees", "lock s", "wrong", "ms med", "ms p99", "resets");
+  std::printf("%-12s %7s %7s %7s %8s %8s %6s %6s %6s %6s %6s %7s %7s %6s\n", "flight", "rmse", "horiz", "vert", "worst",
+              "heading", "nees", "in95", "pose95", "lock s", "wrong", "ms med", "ms p99", "resets");
   for (const auto& [name, synthetic] : kinds) {
+    std::vector<std::vector<double>> position_nees, pose_nees;
     std::vector<double> rmse, horizontal, vertical, largest, heading, nees, lock, wrong, ms, resets;
     for (int seed = 1; seed <= seeds; ++seed) {
       const Flown flown = fly(make_flight(synthetic, static_cast<uint64_t>(seed)), options);
@@ -56,15 +89,18 @@ int main(int argc, char** argv) {
       largest.push_back(flown.largest);
       heading.push_back(flown.heading_rmse * 57.29578);
       nees.push_back(flown.nees);
+      position_nees.push_back(flown.position_nees);
+      pose_nees.push_back(flown.pose_nees);
       lock.push_back(flown.lock_time);
       wrong.push_back(flown.wrong_used);
       resets.push_back(flown.solutions.back().reset_counter);
       ms.insert(ms.end(), flown.solve_ms.begin(), flown.solve_ms.end());
     }
-    std::printf("%-12s %7.2f %7.2f %7.2f %8.1f %8.2f %6.2f %6.1f %6.1f %7.2f %7.2f %6.1f   worst seed %.2f\n",
-                name.c_str(), median(rmse), median(horizontal), median(vertical), median(largest), median(heading),
-                median(nees), median(lock), median(wrong), median(ms), quantile(ms, 0.99), median(resets),
-                quantile(rmse, 1.0));
+    std::printf(
+        "%-12s %7.2f %7.2f %7.2f %8.1f %8.2f %6.2f %6.1f %6.1f %6.1f %6.1f %7.2f %7.2f %6.1f   worst seed %.2f\n",
+        name.c_str(), median(rmse), median(horizontal), median(vertical), median(largest), median(heading),
+        median(nees), share_within_bounds(position_nees, 3), share_within_bounds(pose_nees, 6), median(lock),
+        median(wrong), median(ms), quantile(ms, 0.99), median(resets), quantile(rmse, 1.0));
   }
   return 0;
 }

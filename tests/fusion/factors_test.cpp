@@ -1,8 +1,7 @@
-// Jacobians of the graph's factors against central differences on the manifold.
+// The graph's terms: gradients and Jacobians against central differences.
 #include "services/fusion/factors.h"
 
-#include <memory>
-#include <vector>
+#include <functional>
 
 #include <gtest/gtest.h>
 
@@ -12,141 +11,132 @@ namespace orthonav::fusion {
 namespace {
 
 NodeState some_node(double k) {
-  return NodeState(Eigen::Vector3d(10.0 * k, -4.0 + k, 110.0), so3_exp(Eigen::Vector3d(0.1 * k, -0.2, 1.0 + 0.3 * k)),
-                   0.02 * k);
+  NodeState node;
+  node.x << 10.0 * k, -4.0 + k, 110.0, 1.0 + 0.3 * k, 0.01 * k, -0.02, 0.02 * k, 0.1, 0.5, -0.3 * k, 1.0;
+  return node;
 }
 
-Matrix6d some_covariance() {
-  Matrix6d a;
-  for (int i = 0; i < 36; ++i) a.data()[i] = 0.05 * std::sin(1.7 * i);
-  return a * a.transpose() + 0.01 * Matrix6d::Identity();
+Transition some_transition() {
+  Transition transition;
+  transition.dp_W = Eigen::Vector3d(3.0, 0.5, -0.2);
+  Eigen::Matrix3d covariance;
+  covariance << 0.04, 0.01, 0.002, 0.01, 0.09, -0.005, 0.002, -0.005, 0.02;
+  transition.position_root = sqrt_information(covariance);
+  for (int k = kYaw; k < kStates; ++k) {
+    transition.decay(k) = 1.0 - 0.02 * k;
+    transition.stddev(k) = 0.05 + 0.01 * k;
+  }
+  return transition;
 }
 
-void expect_jacobians_match(const ceres::CostFunction& cost, std::vector<NodeState> nodes) {
-  const int rows = cost.num_residuals();
-  using Padded = Eigen::Matrix<double, Eigen::Dynamic, kAmbient, Eigen::RowMajor>;
-  std::vector<Padded> jacobians(nodes.size(), Padded(rows, kAmbient));
-  auto evaluate = [&](const std::vector<NodeState>& at, bool with_jacobians) {
-    std::vector<const double*> blocks;
-    std::vector<double*> out;
-    for (const NodeState& node : at) blocks.push_back(node.x.data());
-    for (Padded& jacobian : jacobians) out.push_back(jacobian.data());
-    Eigen::VectorXd r(rows);
-    EXPECT_TRUE(cost.Evaluate(blocks.data(), r.data(), with_jacobians ? out.data() : nullptr));
-    return r;
-  };
-  evaluate(nodes, true);
-  const NodeManifold manifold;
-  for (size_t block = 0; block < nodes.size(); ++block) {
-    Eigen::Matrix<double, kAmbient, kTangent, Eigen::RowMajor> plus;
-    manifold.PlusJacobian(nodes[block].x.data(), plus.data());
-    const Eigen::MatrixXd analytic = jacobians[block] * plus;  // what Ceres makes of it
-    for (int k = 0; k < kTangent; ++k) {
-      const double h = 1e-6;
-      auto ahead = nodes;
-      auto behind = nodes;
-      ahead[block] = nodes[block].plus(h * Tangent::Unit(k));
-      behind[block] = nodes[block].plus(-h * Tangent::Unit(k));
-      const Eigen::VectorXd numeric = (evaluate(ahead, false) - evaluate(behind, false)) / (2.0 * h);
-      const double tolerance = 1e-6 * std::max(1.0, numeric.norm());
-      EXPECT_LT((analytic.col(k) - numeric).norm(), tolerance) << "block " << block << ", column " << k;
-    }
+StateVector numeric_gradient(const std::function<double(const NodeState&)>& cost, const NodeState& at) {
+  StateVector gradient;
+  for (int k = 0; k < kStates; ++k) {
+    NodeState ahead = at, behind = at;
+    ahead.x(k) += 1e-6;
+    behind.x(k) -= 1e-6;
+    gradient(k) = (cost(ahead) - cost(behind)) / 2e-6;
+  }
+  return gradient;
+}
+
+void expect_close(const Eigen::MatrixXd& a, const Eigen::MatrixXd& b, double tolerance = 1e-5) {
+  EXPECT_LT((a - b).norm(), tolerance * std::max(1.0, b.norm())) << a << "\n\n" << b;
+}
+
+TEST(FusionFactors, RotationJacobianMatchesFiniteDifferences) {
+  const NodeState node = some_node(1.0);
+  const Eigen::Matrix3d J = rotation_jacobian(node);
+  for (int k = 0; k < 3; ++k) {
+    NodeState ahead = node, behind = node;
+    ahead.x(kYaw + k) += 1e-6;
+    behind.x(kYaw + k) -= 1e-6;
+    const Eigen::Vector3d numeric = so3_log(ahead.q_G_W() * behind.q_G_W().conjugate()) / 2e-6;
+    EXPECT_LT((J.col(k) - numeric).norm(), 1e-6) << k;
   }
 }
 
-TEST(FusionFactors, RelativeJacobianMatchesFiniteDifferences) {
-  const RelativeFactor factor(Eigen::Vector3d(3.0, 0.5, -0.2), so3_exp(Eigen::Vector3d(0.05, 0.1, -0.4)),
-                              some_covariance(), 0.01);
-  expect_jacobians_match(factor, {some_node(1.0), some_node(1.4)});
+TEST(FusionFactors, TransitionLinearisesItsResidual) {
+  const Transition transition = some_transition();
+  const NodeState i = some_node(1.0), j = some_node(1.2);
+  const PairQuadratic pair = linearise(transition, i, j);
+  const auto cost = [&](const NodeState& a, const NodeState& b) {
+    return 0.5 * residual(transition, a, b).squaredNorm();
+  };
+  expect_close(pair.i.b, numeric_gradient([&](const NodeState& a) { return cost(a, j); }, i));
+  expect_close(pair.j.b, numeric_gradient([&](const NodeState& b) { return cost(i, b); }, j));
+  // Gauss-Newton's Hessian from the residual's own differences.
+  Eigen::Matrix<double, kStates, kStates> J_i, J_j;
+  for (int k = 0; k < kStates; ++k) {
+    NodeState ahead = i, behind = i;
+    ahead.x(k) += 1e-6;
+    behind.x(k) -= 1e-6;
+    J_i.col(k) = (residual(transition, ahead, j) - residual(transition, behind, j)) / 2e-6;
+    ahead = behind = j;
+    ahead.x(k) += 1e-6;
+    behind.x(k) -= 1e-6;
+    J_j.col(k) = (residual(transition, i, ahead) - residual(transition, i, behind)) / 2e-6;
+  }
+  expect_close(pair.i.H, J_i.transpose() * J_i);
+  expect_close(pair.j.H, J_j.transpose() * J_j);
+  expect_close(pair.H_ij, J_i.transpose() * J_j);
 }
 
-TEST(FusionFactors, RelativeResidualIsZeroAtTheMeasuredMotionWithTheNodesScale) {
+TEST(FusionFactors, TheMeasuredMotionWithTheNodesScaleLeavesNoResidual) {
   const NodeState i = some_node(1.0);
-  const Eigen::Vector3d dp(3.0, 0.5, -0.2);
-  const Eigen::Quaterniond dq = so3_exp(Eigen::Vector3d(0.05, 0.1, -0.4));
-  const NodeState j(i.p() + i.q() * (std::exp(i.log_scale()) * dp), i.q() * dq, i.log_scale());
-  const RelativeFactor factor(dp, dq, some_covariance(), 0.01);
-  const double* blocks[2] = {i.x.data(), j.x.data()};
-  Tangent r;
-  factor.Evaluate(blocks, r.data(), nullptr);
-  EXPECT_LT(r.norm(), 1e-12);
+  const Transition transition = some_transition();
+  EXPECT_LT(residual(transition, i, predict(transition, i)).norm(), 1e-9);
+  const Eigen::Vector3d moved = predict(transition, i).p() - i.p();
+  EXPECT_NEAR(moved.norm(), std::exp(i.log_scale()) * transition.dp_W.norm(), 1e-12);
 }
 
-TEST(FusionFactors, ResidualsAreWhitenedByTheCovariance) {
+TEST(FusionFactors, PositionIsWhitenedAndTakesTheSharedError) {
   Eigen::Matrix3d covariance;
   covariance << 4.0, 1.0, 0.2, 1.0, 9.0, -0.5, 0.2, -0.5, 2.0;
   const NodeState node = some_node(1.0);
   const Eigen::Vector3d error(1.0, -2.0, 3.0);
-  const PositionFactor factor(node.p() - error, covariance);
-  const double* block = node.x.data();
-  Eigen::Vector3d r;
-  factor.Evaluate(&block, r.data(), nullptr);
-  EXPECT_NEAR(r.squaredNorm(), error.dot(covariance.inverse() * error), 1e-9);
+  const PositionMeasurement measurement{node.p() + node.shared() - error, sqrt_information(covariance)};
+  EXPECT_NEAR(residual(measurement, node).squaredNorm(), error.dot(covariance.inverse() * error), 1e-9);
+  const Quadratic cost = linearise(measurement, node, 1e9);
+  expect_close(
+      cost.b, numeric_gradient([&](const NodeState& n) { return 0.5 * residual(measurement, n).squaredNorm(); }, node));
 }
 
-TEST(FusionFactors, PositionJacobianMatchesFiniteDifferences) {
-  Eigen::Matrix3d covariance;
-  covariance << 4.0, 1.0, 0.2, 1.0, 9.0, -0.5, 0.2, -0.5, 2.0;
-  expect_jacobians_match(PositionFactor(Eigen::Vector3d(9.0, -2.0, 100.0), covariance), {some_node(1.0)});
-  expect_jacobians_match(PositionFactor(Eigen::Vector3d(9.0, -2.0, 100.0), covariance, 110.0), {some_node(1.0)});
+TEST(FusionFactors, HuberPullsNoHarderThanItsWidth) {
+  const NodeState node = some_node(1.0);
+  const PositionMeasurement far{node.p() + Eigen::Vector3d(500.0, 0, 0), Eigen::Matrix3d::Identity()};
+  EXPECT_NEAR(linearise(far, node, 1.5).b.head<3>().norm(), 1.5, 1e-9);
 }
 
-TEST(FusionFactors, YawJacobianMatchesFiniteDifferencesAndWraps) {
-  expect_jacobians_match(YawFactor(0.3, 0.05), {some_node(1.0)});
-  const YawFactor across(-3.1, 1.0);
-  const NodeState node(Eigen::Vector3d::Zero(), so3_exp(Eigen::Vector3d(0, 0, 3.1)), 0.0);
-  const double* block = node.x.data();
-  double r = 0;
-  across.Evaluate(&block, &r, nullptr);
-  EXPECT_NEAR(std::abs(r), 2.0 * M_PI - 6.2, 1e-9);
+TEST(FusionFactors, HeadingJacobianMatchesFiniteDifferencesAndWraps) {
+  HeadingMeasurement measurement{0.3, 0.05, true, Eigen::Vector3d(0.9, 0.3, 0.2).normalized()};
+  const NodeState node = some_node(1.0);
+  expect_close(linearise(measurement, node, 1e9).b,
+               numeric_gradient([&](const NodeState& n) { return 0.5 * std::pow(residual(measurement, n), 2); }, node));
+  measurement.biased = false;
+  expect_close(heading_jacobian(measurement, node) / measurement.stddev,
+               numeric_gradient([&](const NodeState& n) { return residual(measurement, n); }, node));
+  NodeState north;
+  north.x(kYaw) = M_PI_2 - 6.2;  // heading 6.2
+  EXPECT_NEAR(residual(HeadingMeasurement{0.1, 1.0, true, Eigen::Vector3d::UnitX()}, north), 6.1 - 2.0 * M_PI, 1e-9);
 }
 
-TEST(FusionFactors, TiltJacobianMatchesFiniteDifferences) {
-  expect_jacobians_match(TiltFactor(Eigen::Vector3d(0.1, -0.05, 1.0), 0.02), {some_node(1.0)});
+TEST(FusionFactors, AnUprightAxisHasNoHeading) {
+  const HeadingMeasurement upright{0.3, 0.05, true, Eigen::Vector3d::UnitZ()};
+  EXPECT_EQ(heading_jacobian(upright, NodeState()).norm(), 0.0);
 }
 
-TEST(FusionFactors, PriorJacobianMatchesFiniteDifferences) {
-  TangentMatrix root;
-  for (int i = 0; i < 49; ++i) root.data()[i] = std::cos(2.3 * i);
-  expect_jacobians_match(PriorFactor(some_node(1.0), root), {some_node(1.5)});
-}
-
-TEST(FusionFactors, PriorKeepsMinimumAndCurvatureOfItsQuadratic) {
-  TangentMatrix a;
-  for (int i = 0; i < 49; ++i) a.data()[i] = std::sin(3.1 * i);
-  // Units as different as in a graph: metres, milliradians, permille.
-  Tangent unit;
-  unit << 1, 1, 1, 1e3, 1e3, 1e3, 1e3;
-  const TangentMatrix H = unit.asDiagonal() * (a * a.transpose() + TangentMatrix::Identity()) * unit.asDiagonal();
-  const Tangent wanted = 1e-6 * Tangent::LinSpaced(1.0, 7.0);
-  const NodeState point = some_node(1.0);
-  const auto prior = PriorFactor::from_quadratic(point, H, -H * wanted);
-  const NodeState minimum = point.plus(wanted);
-  const double* block = minimum.x.data();
-  Tangent r;
-  Eigen::Matrix<double, kTangent, kAmbient, Eigen::RowMajor> J;
-  double* jacobian = J.data();
-  prior->Evaluate(&block, r.data(), &jacobian);
-  EXPECT_LT(r.norm(), 1e-6);
-  Eigen::Matrix<double, kTangent, kTangent> tangent;
-  tangent << J.leftCols<6>(), J.col(7);
-  EXPECT_LT((tangent.transpose() * tangent - H).norm(), 1e-6 * H.norm());
-}
-
-TEST(FusionFactors, PriorAddsNothingWhereItsQuadraticKnowsNothing) {
-  TangentMatrix H = TangentMatrix::Zero();
-  H.topLeftCorner<3, 3>().setIdentity();  // position only
-  const auto prior = PriorFactor::from_quadratic(some_node(1.0), H, Tangent::Zero());
-  const NodeState turned = some_node(1.0).plus((Tangent() << 0, 0, 0, 0.5, 0.1, -0.3, 0.7).finished());
-  const double* block = turned.x.data();
-  Tangent r;
-  prior->Evaluate(&block, r.data(), nullptr);
-  EXPECT_LT(r.norm(), 1e-9);
-}
-
-TEST(NodeState, MinusUndoesPlus) {
-  const Tangent delta = (Tangent() << 1.0, -2.0, 0.5, 0.3, -0.2, 2.5, 0.1).finished();
-  EXPECT_LT((some_node(2.0).plus(delta).minus(some_node(2.0)) - delta).norm(), 1e-12);
+TEST(FusionFactors, PriorKeepsItsMinimumWhereverItIsLinearised) {
+  Prior prior;
+  prior.point = some_node(1.0);
+  StateMatrix a;
+  for (int k = 0; k < a.size(); ++k) a.data()[k] = std::sin(3.1 * k);
+  prior.cost.H = a * a.transpose() + StateMatrix::Identity();
+  const StateVector wanted = StateVector::LinSpaced(-1.0, 1.0);
+  prior.cost.b = -prior.cost.H * wanted;
+  NodeState minimum = prior.point;
+  minimum.x += wanted;
+  EXPECT_LT(linearise(prior, minimum).b.norm(), 1e-9);
 }
 
 }  // namespace

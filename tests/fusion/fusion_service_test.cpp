@@ -10,10 +10,8 @@
 #include "orthonav/nav_state_t.hpp"
 #include "tests/fusion/synthetic_flight.h"
 
-namespace orthonav {
+namespace orthonav::fusion {
 namespace {
-
-using fusion::SyntheticFlight;
 
 void put(const Eigen::Vector3d& v, double (&out)[3]) {
   for (int k = 0; k < 3; ++k) out[k] = v(k);
@@ -25,7 +23,7 @@ void put(const Eigen::Quaterniond& q, double (&out)[4]) {
 
 class FusionOnABus : public ::testing::Test {
  protected:
-  void send(const fusion::OdometryState& state) {
+  void send(const OdometryState& state) {
     vio_state_t message{};
     message.utime = state.utime;
     message.session = state.session;
@@ -36,7 +34,7 @@ class FusionOnABus : public ::testing::Test {
     message.height_above_ground = 109.0;
     publish(channel::kVioState, message);
   }
-  void send(const fusion::Keyframe& keyframe) {
+  void send(const Keyframe& keyframe) {
     vio_keyframe_t message{};
     message.utime = keyframe.utime;
     message.session = keyframe.session;
@@ -47,7 +45,7 @@ class FusionOnABus : public ::testing::Test {
     for (double& value : message.relative_covariance) value = std::numeric_limits<double>::quiet_NaN();
     publish(channel::kVioKeyframe, message);
   }
-  static map_fix_t message_of(const fusion::Fix& fix) {
+  static map_fix_t message_of(const Fix& fix) {
     map_fix_t message{};
     message.utime = fix.utime;
     message.session = fix.session;
@@ -63,6 +61,8 @@ class FusionOnABus : public ::testing::Test {
     for (double& value : message.q_G_B) value = std::numeric_limits<double>::quiet_NaN();
     message.heading = fix.heading;
     message.heading_stddev = fix.heading_stddev;
+    message.heading_correction = message.scale = std::numeric_limits<double>::quiet_NaN();
+    message.num_keyframes = 1;
     return message;
   }
   template <class Msg>
@@ -87,7 +87,7 @@ class FusionOnABus : public ::testing::Test {
     void receive(const lcm::ReceiveBuffer*, const std::string&, const nav_state_t* m) { states.push_back(*m); }
   };
 
-  SyntheticFlight flight_ = fusion::make_flight({.duration = 20.0, .single_wrong_rate = 0.0}, 1);
+  SyntheticFlight flight_ = make_flight({.duration = 20.0, .single_wrong_rate = 0.0}, 1);
   lcm::LCM bus_{"memq://"};
   Listener heard_;
   lcm::Subscription* subscription_ = bus_.subscribe(channel::kNavState, &Listener::receive, &heard_);
@@ -126,7 +126,7 @@ TEST_F(FusionOnABus, CountsWhatItRefusesAndGoesOn) {
   fix.valid = false;
   publish(channel::kMapFix, fix);
   EXPECT_EQ(node_.health().counter("fixes.invalid"), 1.0);
-  fusion::OdometryState state = flight_.states[50];
+  OdometryState state = flight_.states[50];
   state.p_W_B.x() = std::numeric_limits<double>::infinity();
   send(state);
   EXPECT_EQ(node_.health().counter("rejected.state.bad_number"), 1.0);
@@ -136,4 +136,4 @@ TEST_F(FusionOnABus, CountsWhatItRefusesAndGoesOn) {
 }
 
 }  // namespace
-}  // namespace orthonav
+}  // namespace orthonav::fusion

@@ -12,10 +12,15 @@
 namespace orthonav::fusion {
 namespace {
 
+constexpr const char* kAircraft = "magnetic_declination_deg: -90\nimu: {gravity: 9.79}\n";
+
+// A configuration folder with this fusion.yaml.
 std::filesystem::path written(const std::string& text) {
-  const auto file = std::filesystem::path(::testing::TempDir()) / "fusion.yaml";
-  std::ofstream(file) << text;
-  return file;
+  const auto folder = std::filesystem::path(::testing::TempDir()) / "fusion_options";
+  std::filesystem::create_directories(folder);
+  std::ofstream(folder / "fusion.yaml") << text;
+  std::ofstream(folder / "aircraft.yaml") << kAircraft;
+  return folder;
 }
 
 TEST(FusionOptions, EveryShippedScenarioIsRead) {
@@ -23,15 +28,39 @@ TEST(FusionOptions, EveryShippedScenarioIsRead) {
   for (const auto& folder : std::filesystem::directory_iterator(std::filesystem::path(ORTHONAV_SOURCE) / "config")) {
     const auto file = folder.path() / "fusion.yaml";
     if (!std::filesystem::exists(file)) continue;
-    EXPECT_NO_THROW(FusionOptions::load(file)) << file;
+    EXPECT_NO_THROW(FusionOptions::load(folder.path())) << file;
     ++found;
   }
   EXPECT_GE(found, 4);
 }
 
 TEST(FusionOptions, AnglesAreInDegreesInTheFile) {
-  const FusionOptions options = FusionOptions::load(written("edge: {tilt_stddev_deg: 90}"));
-  EXPECT_NEAR(options.edge.tilt_stddev, M_PI_2, 1e-12);
+  const FusionOptions options = FusionOptions::load(written("compass: {noise_stddev_deg: 90}"));
+  EXPECT_NEAR(options.compass.noise_stddev, M_PI_2, 1e-12);
+}
+
+TEST(FusionOptions, DeclinationAndGravityAreTheAircrafts) {
+  const FusionOptions options = FusionOptions::load(written("{}"));
+  EXPECT_NEAR(options.declination, -M_PI_2, 1e-12);
+  EXPECT_EQ(options.inertial.gravity, 9.79);
+}
+
+TEST(FusionOptions, TheShippedDefaultsAreThoseOfTheCode) {
+  // Tests and benchmarks run on the code's: a difference would be measured nowhere.
+  const FusionOptions file = FusionOptions::load(std::filesystem::path(ORTHONAV_SOURCE) / "config/default");
+  const FusionOptions code;
+  EXPECT_NEAR(file.edge.position_walk, code.edge.position_walk, 1e-9);
+  EXPECT_NEAR(file.edge.yaw_walk, code.edge.yaw_walk, 2e-6);
+  EXPECT_NEAR(file.edge.scale_stddev, code.edge.scale_stddev, 1e-9);
+  EXPECT_NEAR(file.edge.velocity_stddev, code.edge.velocity_stddev, 1e-9);
+  EXPECT_NEAR(file.fix.shared_horizontal_stddev, code.fix.shared_horizontal_stddev, 1e-9);
+  EXPECT_NEAR(file.fix.shared_vertical_stddev, code.fix.shared_vertical_stddev, 1e-9);
+  EXPECT_NEAR(file.fix.shared_distance, code.fix.shared_distance, 1e-9);
+  EXPECT_NEAR(file.compass.bias_stddev, code.compass.bias_stddev, 3e-3);
+  EXPECT_EQ(file.gate.lock_fixes, code.gate.lock_fixes);
+  EXPECT_NEAR(file.gate.lock_distance, code.gate.lock_distance, 1e-9);
+  EXPECT_EQ(file.protection.confirm_fixes, code.protection.confirm_fixes);
+  EXPECT_NEAR(file.protection.confirm_distance, code.protection.confirm_distance, 1e-9);
 }
 
 TEST(FusionOptions, AMisspeltKeyIsAnErrorWithItsLine) {
@@ -47,7 +76,7 @@ TEST(FusionOptions, AMisspeltKeyIsAnErrorWithItsLine) {
 TEST(FusionOptions, ValuesOutOfRangeAreRefused) {
   EXPECT_THROW(FusionOptions::load(written("window_keyframes: 1")), ConfigError);
   EXPECT_THROW(FusionOptions::load(written("fix: {huber: -1}")), ConfigError);
-  EXPECT_THROW(FusionOptions::load(written("edge: {position_stddev: 0}")), ConfigError);
+  EXPECT_THROW(FusionOptions::load(written("edge: {position_walk: 0}")), ConfigError);
 }
 
 }  // namespace

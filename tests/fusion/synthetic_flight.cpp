@@ -33,8 +33,25 @@ class Dice {
 
 // A meander of legs with smooth turns, with gentle changes of height, and the tilt of a multirotor.
 struct Path {
-  double speed, height, leg;
-  double course(double s) const { return 0.4 + 1.2 * std::sin(2.0 * std::numbers::pi * s / leg); }
+  double speed, leg;
+  double course(double t) const { return 0.4 + 1.2 * std::sin(2.0 * std::numbers::pi * speed * t / leg); }
+  Eigen::Vector3d velocity(double t) const {
+    return Eigen::Vector3d(speed * std::cos(course(t)), speed * std::sin(course(t)), 0.5 * std::sin(0.05 * t));
+  }
+  Eigen::Quaterniond attitude(double t) const {
+    return Eigen::AngleAxisd(course(t), Eigen::Vector3d::UnitZ()) *
+           Eigen::AngleAxisd(0.1 * std::sin(0.7 * t), Eigen::Vector3d::UnitY()) *
+           Eigen::AngleAxisd(0.08 * std::sin(0.9 * t + 1.0), Eigen::Vector3d::UnitX());
+  }
+  // What an inertial sensor without errors measures.
+  ImuSample inertial(double t) const {
+    constexpr double h = 1e-3;
+    const Eigen::Vector3d acceleration = (velocity(t + h) - velocity(t - h)) / (2.0 * h);
+    ImuSample sample;
+    sample.angular_rate = so3_log(attitude(t - h).conjugate() * attitude(t + h)) / (2.0 * h);
+    sample.specific_force = attitude(t).conjugate() * (acceleration + Eigen::Vector3d(0, 0, 9.81));
+    return sample;
+  }
 };
 
 }  // namespace
@@ -42,13 +59,17 @@ struct Path {
 SyntheticFlight make_flight(const SyntheticOptions& options, uint64_t seed) {
   SyntheticFlight flight;
   Dice dice(seed);
+  Dice noise(seed + 1'000'000);  // of the compass and the inertial sensor: a stream of their own
   const EnuFrame frame(flight.anchor);
-  const Path path{options.speed, options.height, 260.0};
+  const Path path{options.speed, 260.0};
 
   const double yaw_W_G = 2.0 * std::numbers::pi * dice.uniform();
   double heading_error = 0.0;
   double log_scale = dice.normal(options.scale_stddev);  // odometry = truth * exp(-log_scale)
   const double heading_bias = dice.normal(options.heading_bias_stddev);
+  const Eigen::Vector3d gyro_bias = noise.normal3(0.01, 0.01);
+  const Eigen::Vector3d accel_bias = noise.normal3(0.05, 0.05);
+  const Eigen::Vector3d accel_bias_error = noise.normal3(0.02, 0.02);
   Eigen::Vector3d p_G_B(150.0, -300.0, options.height);
   Eigen::Vector3d p_W_B = dice.normal3(5.0, 5.0);
   Eigen::Vector3d shared = dice.normal3(options.fix_shared_stddev, options.fix_shared_stddev);
@@ -68,20 +89,35 @@ SyntheticFlight make_flight(const SyntheticOptions& options, uint64_t seed) {
   const auto keyframe_every = static_cast<size_t>(std::lround(options.keyframe_interval / kStep));
   for (size_t k = 0; k < count; ++k) {
     const double t = kStep * static_cast<double>(k);
-    const double s = options.speed * t;
-    const Eigen::Vector3d velocity(options.speed * std::cos(path.course(s)), options.speed * std::sin(path.course(s)),
-                                   0.5 * std::sin(0.05 * t));
-    const Eigen::Quaterniond q_G_B = Eigen::AngleAxisd(path.course(s), Eigen::Vector3d::UnitZ()) *
-                                     Eigen::AngleAxisd(0.1 * std::sin(0.7 * t), Eigen::Vector3d::UnitY()) *
-                                     Eigen::AngleAxisd(0.08 * std::sin(0.9 * t + 1.0), Eigen::Vector3d::UnitX());
+    const Eigen::Vector3d velocity = path.velocity(t);
+    const Eigen::Quaterniond q_G_B = path.attitude(t);
     const Eigen::Quaterniond q_W_G(Eigen::AngleAxisd(yaw_W_G + heading_error, Eigen::Vector3d::UnitZ()));
     if (k > 0) {
-      p_G_B += kStep * velocity;
-      p_W_B += kStep * std::exp(-log_scale) * (q_W_G * velocity);
+      const Eigen::Vector3d moved = 0.5 * kStep * (velocity + path.velocity(t - kStep));
+      p_G_B += moved;
+      p_W_B += std::exp(-log_scale) * (q_W_G * moved);
     }
     const bool is_keyframe = k % keyframe_every == 0;
     if (is_keyframe) p_W_B += dice.normal3(options.position_noise, options.position_noise);
     const auto utime = kStart + static_cast<int64_t>(k) * 100'000;
+
+    // What the sensors measured up to the image comes before the odometry's state of it.
+    if (options.imu && k > 0) {
+      for (int i = 19; i >= 0; --i) {
+        ImuSample sample = path.inertial(t - 0.005 * i);
+        sample.utime = utime - 5000 * i;
+        sample.angular_rate += gyro_bias + noise.normal3(0.0024, 0.0024);
+        sample.specific_force += accel_bias + noise.normal3(0.028, 0.028);
+        flight.steps.push_back({SyntheticFlight::Step::Kind::kImu, flight.imu.size()});
+        flight.imu.push_back(sample);
+      }
+    }
+    CompassReading reading;
+    reading.utime = utime;
+    reading.heading = heading_of(q_G_B) + heading_bias + noise.normal(options.compass_noise);
+    reading.heading_stddev = options.heading_bias_stddev;
+    flight.steps.push_back({SyntheticFlight::Step::Kind::kCompass, flight.compass.size()});
+    flight.compass.push_back(reading);
 
     OdometryState state;
     state.utime = utime;
@@ -90,6 +126,8 @@ SyntheticFlight make_flight(const SyntheticOptions& options, uint64_t seed) {
     state.p_W_B = p_W_B;
     state.q_W_B = q_W_G * q_G_B;
     state.v_W_B = std::exp(-log_scale) * (q_W_G * velocity);
+    state.gyro_bias = gyro_bias;
+    state.accel_bias = accel_bias + accel_bias_error;
     flight.states.push_back(state);
     flight.truth.push_back(p_G_B);
     flight.truth_q.push_back(q_G_B);
@@ -120,14 +158,12 @@ SyntheticFlight make_flight(const SyntheticOptions& options, uint64_t seed) {
         const bool single = !in_run && dice.uniform() < options.single_wrong_rate;
         const Eigen::Vector3d offset =
             in_run ? run_offset : (single ? far() : Eigen::Vector3d(Eigen::Vector3d::Zero()));
-        // The fix stands off the ground (z = 0) by the odometry's height.
-        const Eigen::Vector3d step_back(0.0, 0.0, keyframe.height_above_ground - p_G_B.z());
         Fix fix;
         fix.utime = utime;
         fix.session = 1;
         fix.keyframe_id = keyframe.id;
-        fix.position = frame.to_geodetic(p_G_B + step_back + offset + shared +
-                                         dice.normal3(options.fix_stddev, options.fix_vertical_stddev));
+        fix.position =
+            frame.to_geodetic(p_G_B + offset + shared + dice.normal3(options.fix_stddev, options.fix_vertical_stddev));
         fix.anchor = flight.anchor;
         fix.covariance = Eigen::Vector3d(options.fix_stddev, options.fix_stddev, options.fix_vertical_stddev)
                              .cwiseAbs2()

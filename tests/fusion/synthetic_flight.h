@@ -1,4 +1,5 @@
-// Odometry and fixes of a made-up flight, without images: what the fusion's tests and benchmark fly.
+// Odometry, fixes, compass and inertial samples of a made-up flight, without images: what the fusion's tests and
+// benchmarks fly.
 //
 // The odometry drifts as a monocular one does (scale wrong and wandering, heading wandering, position noise); fixes
 // have white noise, an error that neighbours share, and wrong ones that come singly and in runs with one offset.
@@ -31,11 +32,13 @@ struct SyntheticOptions {
   int wrong_at_start = 0;           // fixes of a run that the flight begins with
   double wrong_distance = 150.0;    // m, mean
   int fix_delay = 2;                // keyframes between a keyframe and its fix
+  double compass_noise = 0.017;     // rad, white; the bias is the fixes' heading's
+  bool imu = false;                 // 200 Hz samples, with constant biases that the odometry knows to 0.02 m/s^2
 };
 
 struct SyntheticFlight {
   struct Step {  // in the order of arrival
-    enum class Kind { kState, kKeyframe, kFix } kind = Kind::kState;
+    enum class Kind { kState, kKeyframe, kFix, kCompass, kImu } kind = Kind::kState;
     size_t index = 0;
   };
   std::vector<OdometryState> states;        // 10 Hz
@@ -44,6 +47,8 @@ struct SyntheticFlight {
   std::vector<Keyframe> keyframes;
   std::vector<Fix> fixes;
   std::vector<bool> wrong;  // of each fix
+  std::vector<CompassReading> compass;
+  std::vector<ImuSample> imu;
   std::vector<Step> steps;
   Geodetic anchor{47.5, 8.7, 420.0};
 };

@@ -75,7 +75,9 @@ void sort_in(const LogEvent& event, Collected& collected) {
       }
     });
   } else if (event.channel == channel::kNavState) {
-    take<nav_state_t>(event, collected, [&](const nav_state_t& m) { record.nav.push_back({event.utime, m}); });
+    take<nav_state_t>(event, collected, [&](const nav_state_t& m) {
+      (m.source == nav_state_t::INERTIAL ? record.nav_inertial : record.nav).push_back({event.utime, m});
+    });
   } else if (event.channel == channel::kHealth) {
     take<health_t>(event, collected, [&](const health_t& m) { record.health[m.service] = m; });
   } else {

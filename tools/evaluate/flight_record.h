@@ -66,8 +66,9 @@ struct FlightRecord {
   std::vector<Logged<vio_state_t>> vio;
   std::vector<vio_keyframe_t> keyframes;  // without their features
   std::vector<map_fix_t> fixes;
-  std::vector<Logged<nav_state_t>> nav;
-  std::map<std::string, health_t> health;  // the last of each service
+  std::vector<Logged<nav_state_t>> nav;           // at the images' times
+  std::vector<Logged<nav_state_t>> nav_inertial;  // between them, at the inertial sensor's rate
+  std::map<std::string, health_t> health;         // the last of each service
   std::map<std::string, ChannelCount> channels;
   int64_t skipped_bytes = 0;  // of the log that are no event
   int64_t begin = 0;          // utime of the first measurement

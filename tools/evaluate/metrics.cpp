@@ -12,34 +12,15 @@
 #include "common/bus/channels.h"
 #include "common/math/so3.h"
 #include "common/math/statistics.h"
+#include "tools/evaluate/figures.h"
+#include "tools/evaluate/fusion_metrics.h"
 
 namespace orthonav::evaluate {
 namespace {
 
-constexpr double kNan = std::numeric_limits<double>::quiet_NaN();
 constexpr double kTrueMatchDistance = 30.0;  // m, the design's definition of a true match
 constexpr int kTrueMatchInliers = 8;
 constexpr double kDriftStretch = 100.0;  // m
-
-double seconds_between(int64_t from, int64_t to) {
-  return 1e-6 * static_cast<double>(to - from);
-}
-
-double share(int part, int whole) {
-  return whole > 0 ? static_cast<double>(part) / whole : kNan;
-}
-
-double mean(const std::vector<double>& values) {
-  if (values.empty()) return kNan;
-  double sum = 0;
-  for (const double value : values) sum += value;
-  return sum / static_cast<double>(values.size());
-}
-
-// The truth where there is one, else the GNSS reference.
-const Reference& best_reference(const FlightRecord& record) {
-  return record.truth.empty() ? record.gnss : record.truth;
-}
 
 struct OdometrySession {
   std::vector<const vio_state_t*> states;     // with a pose
@@ -218,89 +199,6 @@ RegistrationMetrics evaluate_registration(const FlightRecord& record) {
   result.match = Times::of(match);
   result.solve = Times::of(solve);
   return result;
-}
-
-// The truth's velocity over a fifth of a second.
-std::optional<Eigen::Vector3d> velocity_at(const Reference& reference, int64_t utime) {
-  const auto before = reference.at(utime - 100'000);
-  const auto after = reference.at(utime + 100'000);
-  if (!before || !after) return std::nullopt;
-  return Eigen::Vector3d((after->p_G_B - before->p_G_B) / 0.2);
-}
-
-FusionMetrics evaluate_fusion(const FlightRecord& record) {
-  FusionMetrics fusion;
-  const Reference& reference = best_reference(record);
-  std::vector<Eigen::Vector3d> truth, gnss, to_map;
-  std::vector<double> headings, velocities, nees, nees_horizontal, times;
-  int located = 0, coasting = 0, judged = 0, inside = 0;
-  double last_ms = 0;
-  int64_t first_located = 0;
-  for (const auto& [logged_at, nav] : record.nav) {
-    fusion.resets = std::max(fusion.resets, nav.reset_counter);
-    // The message repeats the newest solution's time until there is another.
-    if (nav.processing_ms > 0 && nav.processing_ms != last_ms) times.push_back(nav.processing_ms);
-    last_ms = nav.processing_ms;
-    const auto p_G_B = record.frame ? position_of(*record.frame, nav) : std::nullopt;
-    if (!p_G_B) continue;
-    if (first_located == 0) first_located = nav.utime;
-    ++located;
-    coasting += nav.mode == nav_state_t::COASTING ? 1 : 0;
-    if (const auto sample = record.gnss.at(nav.utime)) gnss.push_back(*p_G_B - sample->p_G_B);
-    const auto sample = reference.at(nav.utime);
-    if (!sample) continue;
-    ErrorSample error;
-    error.utime = nav.utime;
-    error.p_G_B = *p_G_B;
-    error.error = *p_G_B - sample->p_G_B;
-    const Eigen::Matrix<double, 6, 6, Eigen::RowMajor> covariance =
-        Eigen::Map<const Eigen::Matrix<double, 6, 6, Eigen::RowMajor>>(nav.covariance);
-    error.stddev = covariance.diagonal().head<3>().cwiseSqrt();
-    error.heading_stddev = std::sqrt(covariance(5, 5));
-    error.heading_error = kNan;
-    if (!record.truth.empty()) {
-      truth.push_back(error.error);
-      if (sample->map_offset_en.allFinite()) {
-        to_map.push_back(error.error - Eigen::Vector3d(sample->map_offset_en.x(), sample->map_offset_en.y(), 0.0));
-      }
-      error.heading_error = wrap_angle(heading_of(quaternion_of(nav.q_G_B)) - heading_of(sample->q_G_B));
-      headings.push_back(error.heading_error);
-      const auto velocity = velocity_at(reference, nav.utime);
-      if (velocity && vector_of(nav.v_G_B).allFinite()) {
-        velocities.push_back((vector_of(nav.v_G_B) - *velocity).norm());
-      }
-      if (covariance.allFinite()) {
-        const Eigen::Matrix3d P = covariance.topLeftCorner<3, 3>();
-        const Eigen::Matrix2d P_en = covariance.topLeftCorner<2, 2>();
-        const Eigen::Vector2d e_en = error.error.head<2>();
-        nees.push_back(error.error.dot(P.inverse() * error.error) / 3.0);
-        nees_horizontal.push_back(e_en.dot(P_en.inverse() * e_en) / 2.0);
-        ++judged;
-        inside += e_en.norm() <= 3.0 * std::sqrt(P_en.trace()) ? 1 : 0;
-      }
-    }
-    fusion.track.push_back(error);
-  }
-  fusion.truth = PositionErrors::of(truth);
-  fusion.gnss = PositionErrors::of(gnss);
-  fusion.to_map = PositionErrors::of(to_map);
-  fusion.heading_rmse = root_mean_square(headings);
-  fusion.velocity_rmse = root_mean_square(velocities);
-  fusion.nees_position = mean(nees);
-  fusion.nees_horizontal = mean(nees_horizontal);
-  fusion.within_3_sigma = share(inside, judged);
-  fusion.coasting_share = share(coasting, located);
-  fusion.time = Times::of(times);
-  fusion.time_to_first_fix = fusion.time_to_first_fix_from_start = kNan;
-  if (first_located != 0) {
-    fusion.time_to_first_fix_from_start = record.seconds(first_located);
-    for (const auto& [logged_at, state] : record.vio) {
-      if (state.status == vio_state_t::INITIALISING) continue;
-      fusion.time_to_first_fix = seconds_between(state.utime, first_located);
-      break;
-    }
-  }
-  return fusion;
 }
 
 TransportMetrics evaluate_transport(const FlightRecord& record) {

@@ -75,14 +75,46 @@ struct RegistrationMetrics {
   std::vector<JudgedFix> fixes;
 };
 
+// Means of the squared error weighted by the inverse of the reported covariance, per degree of freedom.
+struct Consistency {
+  double position = 0, horizontal = 0, velocity = 0, attitude = 0;
+  double pose = 0;  // position and attitude together
+};
+
+// Errors against the protection levels, over the epochs with a position and a truth.
+struct ProtectionStatistics {
+  int epochs = 0;
+  int bounded = 0;                                                // with both levels
+  int misleading_horizontal = 0, misleading_vertical = 0;         // error beyond its level
+  double horizontal_median = 0, vertical_median = 0;              // m, of the levels
+  double largest_horizontal_part = 0, largest_vertical_part = 0;  // error over level
+};
+
+// A stretch, after the first position, in which the map did not aid the solution.
+struct Outage {
+  double begin = 0;             // s since the first measurement
+  double duration = 0;          // s until the map aided it again, or the end of the log
+  double without_position = 0;  // s of it
+  double largest_error = 0;     // m, horizontal, until it was back
+  bool ended = false;           // it came back
+};
+
+// The states between the images.
+struct InertialRate {
+  PositionErrors errors;
+  double rate_hz = 0;
+};
+
 struct FusionMetrics {
   PositionErrors truth;  // from the first geodetic position on
   PositionErrors gnss;
   PositionErrors to_map;
-  double heading_rmse = 0;       // rad
-  double velocity_rmse = 0;      // m/s, against the truth's change of position
-  double nees_position = 0;      // mean of e^T P^-1 e / 3: 1 when the covariance is honest
-  double nees_horizontal = 0;    // the same over east and north, / 2
+  double heading_rmse = 0;   // rad
+  double velocity_rmse = 0;  // m/s, against the truth's change of position
+  Consistency nees;          // 1 when the covariance is honest
+  ProtectionStatistics protection;
+  std::vector<Outage> outages;
+  InertialRate inertial;
   double within_3_sigma = 0;     // share of samples whose horizontal error is below 3 reported standard deviations
   double time_to_first_fix = 0;  // s from the first tracked odometry state
   double time_to_first_fix_from_start = 0;  // s from the first measurement

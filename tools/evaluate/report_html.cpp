@@ -86,7 +86,7 @@ std::string accuracy(const Metrics& metrics) {
       "3\u03c3; "
       "{} jumps of the position; {} % of the time without a recent fix.",
       registration.tried, registration.true_matches, registration.valid, registration.false_fixes, figure(vio.scale, 3),
-      figure(vio.drift_per_100m), vio.restarts, figure(fusion.nees_position), figure(fusion.nees_horizontal),
+      figure(vio.drift_per_100m), vio.restarts, figure(fusion.nees.position), figure(fusion.nees.horizontal),
       figure(100.0 * fusion.within_3_sigma, 1), fusion.resets, figure(100.0 * fusion.coasting_share, 1));
   return html + "</p></section>";
 }

@@ -67,6 +67,19 @@ ordered_json registration_json(const RegistrationMetrics& registration) {
   return json;
 }
 
+ordered_json protection_json(const ProtectionStatistics& protection) {
+  ordered_json json;
+  json["epochs"] = protection.epochs;
+  json["bounded"] = protection.bounded;
+  json["misleading_horizontal"] = protection.misleading_horizontal;
+  json["misleading_vertical"] = protection.misleading_vertical;
+  json["horizontal_median_m"] = protection.horizontal_median;
+  json["vertical_median_m"] = protection.vertical_median;
+  json["largest_horizontal_part"] = protection.largest_horizontal_part;
+  json["largest_vertical_part"] = protection.largest_vertical_part;
+  return json;
+}
+
 ordered_json fusion_json(const FusionMetrics& fusion) {
   ordered_json json;
   put(json, fusion.truth);
@@ -74,7 +87,22 @@ ordered_json fusion_json(const FusionMetrics& fusion) {
   json["relative_to_map"] = short_form(fusion.to_map);
   json["heading_rmse_deg"] = fusion.heading_rmse * kDegPerRad;
   json["velocity_rmse_m_s"] = fusion.velocity_rmse;
-  json["nees"] = {{"position", fusion.nees_position}, {"horizontal", fusion.nees_horizontal}};
+  json["nees"] = {{"position", fusion.nees.position},
+                  {"horizontal", fusion.nees.horizontal},
+                  {"velocity", fusion.nees.velocity},
+                  {"attitude", fusion.nees.attitude},
+                  {"pose", fusion.nees.pose}};
+  json["protection"] = protection_json(fusion.protection);
+  json["outages"] = ordered_json::array();
+  for (const Outage& outage : fusion.outages) {
+    json["outages"].push_back({{"begin_s", outage.begin},
+                               {"duration_s", outage.duration},
+                               {"without_position_s", outage.without_position},
+                               {"largest_horizontal_error_m", outage.largest_error},
+                               {"reacquired", outage.ended}});
+  }
+  json["inertial"] = short_form(fusion.inertial.errors);
+  json["inertial"]["rate_hz"] = fusion.inertial.rate_hz;
   json["within_3_sigma"] = fusion.within_3_sigma;
   json["time_to_first_fix_s"] = fusion.time_to_first_fix;
   json["time_to_first_fix_from_start_s"] = fusion.time_to_first_fix_from_start;
@@ -155,7 +183,16 @@ std::string to_table(const Metrics& metrics) {
                       registration.true_matches, figure(100.0 * registration.true_match_rate, 1), registration.valid,
                       registration.false_fixes);
   text += fmt::format("first fix {} s after the odometry began; odometry restarts {}; NEES {}\n",
-                      figure(fusion.time_to_first_fix, 1), vio.restarts, figure(fusion.nees_position));
+                      figure(fusion.time_to_first_fix, 1), vio.restarts, figure(fusion.nees.position));
+  const ProtectionStatistics& protection = fusion.protection;
+  text += fmt::format(
+      "protection levels, median {} / {} m; {} of {} epochs bounded, misleading {} horizontally, {} vertically\n",
+      figure(protection.horizontal_median, 1), figure(protection.vertical_median, 1), protection.bounded,
+      protection.epochs, protection.misleading_horizontal, protection.misleading_vertical);
+  for (const Outage& outage : fusion.outages) {
+    text += fmt::format("without the map from {} s for {} s, at most {} m off\n", figure(outage.begin, 1),
+                        figure(outage.duration, 1), figure(outage.largest_error, 1));
+  }
   text += fmt::format("ms per frame, median / p99: vio {} / {}, registration {} / {}, fusion {} / {}\n",
                       figure(vio.time.median, 1), figure(vio.time.p99, 1), figure(registration.time.median, 1),
                       figure(registration.time.p99, 1), figure(fusion.time.median, 1), figure(fusion.time.p99, 1));

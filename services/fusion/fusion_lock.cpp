@@ -1,0 +1,249 @@
+// The part of Fusion that decides which fixes to believe.
+#include <algorithm>
+#include <cmath>
+#include <numbers>
+
+#include <Eigen/Cholesky>
+#include <Eigen/Eigenvalues>
+
+#include "common/math/so3.h"
+#include "services/fusion/fusion.h"
+#include "services/fusion/plausible.h"
+
+namespace orthonav::fusion {
+namespace {
+
+// Standard deviation of what nothing is known of: a position on the map, m, and a heading, rad.
+constexpr double kAnywhere = 1e4;
+constexpr double kAnyHeading = 1.0;
+
+double yaw_from_heading(double heading) {
+  return wrap_angle(0.5 * std::numbers::pi - heading);
+}
+
+// What the fix does not share with its neighbours; nullopt when its covariance is none.
+std::optional<Eigen::Matrix3d> own_covariance(const Eigen::Matrix3d& covariance, const FixOptions& options) {
+  if (covariance.hasNaN()) {
+    return Eigen::Matrix3d(Eigen::Matrix3d::Identity() * options.default_stddev * options.default_stddev);
+  }
+  const Eigen::Matrix3d symmetric = 0.5 * (covariance + covariance.transpose());
+  if (!(covariance - symmetric).isZero(1e-6 * covariance.norm() + 1e-12)) return std::nullopt;
+  const Eigen::SelfAdjointEigenSolver<Eigen::Matrix3d> eigen(symmetric, Eigen::EigenvaluesOnly);
+  if (!(eigen.eigenvalues().minCoeff() >= 0.0)) return std::nullopt;
+  if (!(eigen.eigenvalues().maxCoeff() < kLargestFixStddev * kLargestFixStddev)) return std::nullopt;
+  return Eigen::Matrix3d(symmetric + options.stddev_floor * options.stddev_floor * Eigen::Matrix3d::Identity());
+}
+
+}  // namespace
+
+std::optional<Sighting> Fusion::sight(const Fix& fix, Outcome& refused) const {
+  refused = Outcome::kBadNumber;
+  if (!is_place(fix.position) || !is_place(fix.anchor) || !std::isfinite(fix.heading)) return std::nullopt;
+  const auto covariance = own_covariance(fix.covariance, options_.fix);
+  if (!covariance) return std::nullopt;
+  if (fix.session != session_) {
+    refused = fix.session < session_ ? Outcome::kOldSession : Outcome::kUnknownKeyframe;
+    return std::nullopt;
+  }
+  const auto found = waypoints_.find(fix.keyframe_id);
+  if (found == waypoints_.end()) {
+    const bool gone = !waypoints_.empty() && fix.keyframe_id < waypoints_.begin()->first;
+    refused = gone ? Outcome::kTooLate : Outcome::kUnknownKeyframe;
+    return std::nullopt;
+  }
+  const Keyframe& keyframe = found->second.keyframe;
+  if (keyframe.utime != fix.utime) return std::nullopt;
+  if (fixed_.count(fix.keyframe_id) > 0) {
+    refused = Outcome::kDuplicate;
+    return std::nullopt;
+  }
+  Sighting sighting;
+  sighting.keyframe = keyframe;
+  sighting.fix = fix;
+  sighting.covariance = *covariance;
+  sighting.yaw_G_W = wrap_angle(yaw_from_heading(fix.heading) - yaw_from_heading(heading_of(keyframe.q_W_B)));
+  const double stddev = fix.heading_stddev > 0.0 ? fix.heading_stddev : options_.compass.fix_stddev;
+  sighting.yaw_stddev = fix.heading_fitted ? stddev : std::max(stddev, options_.compass.bias_stddev);
+  return sighting;
+}
+
+Outcome Fusion::add_fix(const Fix& fix) {
+  Outcome refused = Outcome::kBadNumber;
+  std::optional<Sighting> sighting = sight(fix, refused);
+  if (!sighting) return refused;
+  fixed_.emplace(fix.keyframe_id, fix.utime);
+  const auto wait = [&] {
+    waiting_.push_back(*sighting);
+    if (static_cast<int>(waiting_.size()) > options_.gate.memory) waiting_.erase(waiting_.begin());
+  };
+  if (!graph_) {
+    wait();
+    return try_lock() ? Outcome::kLocked : Outcome::kWaiting;
+  }
+  if (!graph_->contains(fix.keyframe_id)) return Outcome::kTooLate;
+  sighting->p_G_B = frame_->to_enu(fix.position);
+  if (!within_gate(*sighting)) {
+    wait();
+    return try_relock() ? Outcome::kRelocked : Outcome::kOutlier;
+  }
+  use(*sighting);
+  solve_and_watch_for_jump();
+  return Outcome::kUsed;
+}
+
+bool Fusion::try_lock() {
+  // G is the newest fix's: another map may have been loaded since the older ones.
+  const Geodetic& anchor = waiting_.back().fix.anchor;
+  if (!frame_ || !same_place(frame_->anchor(), anchor)) frame_.emplace(anchor);
+  for (Sighting& sighting : waiting_) sighting.p_G_B = frame_->to_enu(sighting.fix.position);
+  const GateOptions& gate = options_.gate;
+  const auto consensus = find_consensus(waiting_, static_cast<size_t>(gate.lock_fixes), options_);
+  if (!consensus || consensus->span < gate.lock_distance) return false;
+  if (consensus->members.size() < consensus->rivals + static_cast<size_t>(gate.lock_margin)) return false;
+  std::vector<Sighting> members;
+  for (const size_t index : consensus->members) members.push_back(waiting_[index]);
+  for (size_t k = consensus->members.size(); k-- > 0;) {
+    waiting_.erase(waiting_.begin() + static_cast<std::ptrdiff_t>(consensus->members[k]));
+  }
+  lock(members);
+  return true;
+}
+
+bool Fusion::try_relock() {
+  const GateOptions& gate = options_.gate;
+  look_at_rivals();
+  const auto consensus = find_consensus(waiting_, static_cast<size_t>(gate.relock_fixes), options_);
+  if (!consensus || consensus->span < gate.lock_distance) return false;
+  if (consensus->members.size() < consensus->rivals + static_cast<size_t>(gate.lock_margin)) return false;
+  const bool outnumbers = static_cast<int>(consensus->members.size()) > believed_;
+  const int64_t newest = waiting_.back().fix.utime;
+  const bool silence = seconds_between(newest_fix_utime_, newest) > gate.lost_after;
+  if (!outnumbers && !silence) return false;
+  std::vector<Sighting> members;
+  for (const size_t index : consensus->members) members.push_back(waiting_[index]);
+  waiting_.clear();
+  lock(members);
+  return true;
+}
+
+// Where the fixes that are not believed agree to be, if they do: part of the protection level.
+void Fusion::look_at_rivals() {
+  const auto rivals = find_consensus(waiting_, static_cast<size_t>(options_.gate.lock_fixes), options_);
+  if (!rivals) return;
+  Located rival;
+  const Sighting& last = waiting_.back();
+  const NodeState& there = graph_->state(last.keyframe.id);
+  rival.p_G_B = last.p_G_B - there.p();  // as an offset: it is carried along with the newest node
+  rival.covariance = last.covariance;
+  const FixOptions& fix = options_.fix;
+  rival.covariance.diagonal() +=
+      Eigen::Vector3d(fix.shared_horizontal_stddev, fix.shared_horizontal_stddev, fix.shared_vertical_stddev)
+          .cwiseAbs2();
+  rival_ = rival;
+  rival_utime_ = last.fix.utime;
+  rival_fixes_ = static_cast<int>(rivals->members.size());
+  update_newest();
+}
+
+void Fusion::lock(const std::vector<Sighting>& members) {
+  const Placement placement = place(members);
+  const Eigen::Quaterniond q_G_W(Eigen::AngleAxisd(placement.yaw_G_W, Eigen::Vector3d::UnitZ()));
+  // Keyframes before the first fix add nothing that is known about the newest one.
+  auto next = waypoints_.find(members.front().keyframe.id);
+  if (next == waypoints_.end()) next = waypoints_.begin();
+  NodeState guess;
+  guess.x.segment<3>(kPosition) = q_G_W * next->second.keyframe.p_W_B + placement.p_G_W;
+  guess.x(kYaw) = placement.yaw_G_W;
+  StateVector stddev;
+  const EdgeOptions& edge = options_.edge;
+  const FixOptions& fix = options_.fix;
+  // The fixes' heading is the compass's, which has its own term in the graph.
+  const double yaw_stddev = next->second.compass ? kAnyHeading : members.back().yaw_stddev;
+  stddev << kAnywhere, kAnywhere, kAnywhere, yaw_stddev, edge.tilt_stddev, edge.tilt_stddev, edge.scale_stddev,
+      options_.compass.bias_stddev, fix.shared_horizontal_stddev, fix.shared_horizontal_stddev,
+      fix.shared_vertical_stddev;
+  graph_ = std::make_unique<PoseGraph>(options_);
+  graph_->start(next->second.keyframe, guess, stddev);
+  for (;;) {
+    // Before the fixes have turned the graph there is no test that a reading could fail.
+    const Waypoint& waypoint = next->second;
+    if (waypoint.compass) {
+      graph_->add_compass(waypoint.keyframe.id, waypoint.compass->heading, compass_noise(*waypoint.compass));
+    }
+    if (++next == waypoints_.end()) break;
+    graph_->append(next->second.keyframe);
+  }
+
+  num_fixes_ = 0;
+  believed_ = 0;
+  confirmed_span_ = 0.0;
+  newest_fix_utime_ = 0;
+  rival_.reset();
+  rival_fixes_ = 0;
+  for (const Sighting& member : members) {
+    if (graph_->contains(member.keyframe.id)) use(member);
+  }
+  graph_->solve();
+  update_newest();
+  ++reset_counter_;
+  ++moves_;
+}
+
+bool Fusion::within_gate(const Sighting& sighting) const {
+  const Estimate estimate = graph_->estimate(sighting.keyframe.id);
+  const Eigen::Vector3d innovation = sighting.p_G_B - estimate.state.p() - estimate.state.shared();
+  const StateMatrix& P = estimate.covariance;
+  const Eigen::Matrix3d cross = P.block<3, 3>(kPosition, kShared);
+  const Eigen::Matrix3d covariance = P.block<3, 3>(kPosition, kPosition) + cross + cross.transpose() +
+                                     P.block<3, 3>(kShared, kShared) + sighting.covariance;
+  const double limit = options_.gate.innovation * options_.gate.innovation;
+  return innovation.dot(covariance.llt().solve(innovation)) < limit;
+}
+
+void Fusion::use(const Sighting& sighting) {
+  const int id = sighting.keyframe.id;
+  const Fix& fix = sighting.fix;
+  graph_->add_position(id, sighting.p_G_B, sighting.covariance);
+  // So that neighbours that look at the same points do not count as if each looked at its own.
+  const double shared = std::sqrt(static_cast<double>(std::max(1, fix.num_keyframes)));
+  if (fix.heading_fitted && fix.heading_stddev > 0.0) {
+    graph_->add_map_heading(id, fix.heading, shared * fix.heading_stddev);
+  }
+  if (fix.scale > 0.1 && fix.scale < 10.0 && fix.scale_stddev > 0.0) {
+    graph_->add_scale(id, std::log(fix.scale), shared * fix.scale_stddev / fix.scale);
+  }
+  if (believed_ == 0) confirmed_from_ = sighting.keyframe.p_W_B;
+  confirmed_span_ = std::max(confirmed_span_, (sighting.keyframe.p_W_B - confirmed_from_).norm());
+  ++believed_;
+  ++num_fixes_;
+  newest_fix_utime_ = std::max(newest_fix_utime_, sighting.fix.utime);
+}
+
+void Fusion::solve_and_watch_for_jump() {
+  const Eigen::Vector3d before = graph_->state(graph_->newest().id).p();
+  graph_->solve();
+  update_newest();
+  if ((newest_.state.p() - before).norm() > options_.reset_jump) ++reset_counter_;
+}
+
+void Fusion::update_newest() {
+  newest_ = graph_->estimate(graph_->newest().id);
+  level_ = Protection();
+  const int64_t now = graph_->newest().utime;
+  const ProtectionOptions& protection = options_.protection;
+  if (believed_ < protection.confirm_fixes || confirmed_span_ < protection.confirm_distance) return;
+  const auto exposure = static_cast<int64_t>(1e6 * protection.exposure);
+  const std::optional<Estimate> without = graph_->without_fixes_after(now - exposure);
+  if (!without) return;
+  const auto located = [](const Estimate& estimate) {
+    return Located{estimate.state.p(), estimate.covariance.block<3, 3>(kPosition, kPosition)};
+  };
+  const Located given = located(newest_);
+  std::optional<Located> rival;
+  if (rival_ && now - rival_utime_ < exposure) {
+    rival = Located{given.p_G_B + rival_->p_G_B, rival_->covariance};
+  }
+  level_ = protect(given, located(*without), rival);
+}
+
+}  // namespace orthonav::fusion

@@ -1,0 +1,228 @@
+// The part of Fusion that answers: at odometry states, at inertial samples, and while the odometry restarts.
+#include <algorithm>
+#include <cmath>
+#include <utility>
+
+#include "common/math/so3.h"
+#include "services/fusion/fusion.h"
+#include "services/fusion/plausible.h"
+
+namespace orthonav::fusion {
+namespace {
+
+// Without an odometry state for so long the position rests on the inertial sensor alone, s.
+constexpr double kBlindAfter = 1.0;
+
+using Rows6 = Eigen::Matrix<double, 6, kStates>;
+
+}  // namespace
+
+Fusion::Propagated Fusion::propagate(const OdometryState& state) {
+  Propagated result;
+  const auto refuse = [&](Outcome outcome) {
+    result.outcome = outcome;
+    result.solution.utime = state.utime;
+    result.solution.session = session_;
+    result.solution.reset_counter = reset_counter_;
+    return result;
+  };
+  if (state.session < session_) return refuse(Outcome::kOldSession);
+  if (state.session > session_) {
+    if (session_ > 0 && state.session - session_ > kLargestSessionGap) return refuse(Outcome::kBadNumber);
+    start_segment(state.session);
+  }
+  if (state.has_pose) {
+    if (!is_pose(state.p_W_B, state.q_W_B)) return refuse(Outcome::kBadNumber);
+    const std::optional<OdometryState> last = last_state_;
+    if (last && state.utime <= last->utime) return refuse(Outcome::kOutOfOrder);
+    last_state_ = state;
+    if (last) {
+      const double duration = std::max(1e-3, seconds_between(last->utime, state.utime));
+      if ((state.p_W_B - last->p_W_B).norm() > options_.max_speed * duration) return refuse(Outcome::kJump);
+    }
+    if (!graph_) start_bridge(state);
+    has_output_ = true;
+  }
+  Solution& solution = result.solution;
+  solution.utime = state.utime;
+  solution.session = session_;
+  if (state.has_pose && graph_) {
+    solution = located(state, solution);
+    judge(solution, true, false);
+    last_located_ = solution;
+    return result;
+  }
+  // A state of before the inertial sensor lost its way, or one that it can still carry.
+  if (const auto inertial = frame_ ? inertial_.at(state.utime) : std::nullopt; inertial && last_located_) {
+    solution = carried(*inertial);
+    solution.inertial = false;
+    judge(solution, state.has_pose, true);
+    return result;
+  }
+  if (frame_ && !graph_ && last_located_) leave_map();
+  if (state.has_pose) {
+    solution.p_G_B = state.p_W_B;
+    solution.v_G_B = state.v_W_B;
+    solution.q_G_B = state.q_W_B.normalized();
+  }
+  judge(solution, state.has_pose, false);
+  return result;
+}
+
+// Fills in what depends on more than the pose.
+void Fusion::judge(Solution& solution, bool odometry, bool blind) {
+  const bool is_located = solution.located();
+  if (is_located) {
+    solution.num_fixes = num_fixes_;
+    solution.time_since_fix = seconds_between(newest_fix_utime_, solution.utime);
+  }
+  solution.reset_counter = reset_counter_;
+  Evidence evidence;
+  evidence.utime = solution.utime;
+  evidence.odometry = odometry;
+  evidence.located = is_located;
+  evidence.blind = blind;
+  evidence.contradicted = rival_fixes_ >= options_.gate.relock_fixes && rival_utime_ > newest_fix_utime_;
+  evidence.level = solution.horizontal_protection_level;
+  evidence.time_since_fix = solution.time_since_fix;
+  evidence.moves = moves_;
+  solution.mode = modes_.update(evidence);
+}
+
+Solution Fusion::located(const OdometryState& state, Solution solution) {
+  const Keyframe& keyframe = graph_->newest();
+  const NodeState& node = newest_.state;
+  const double scale = std::exp(node.log_scale());
+  const Eigen::Quaterniond q_G_W = node.q_G_W();
+  const Eigen::Vector3d moved = scale * (q_G_W * (state.p_W_B - keyframe.p_W_B));
+  solution.p_G_B = node.p() + moved;
+  solution.v_G_B = scale * (q_G_W * state.v_W_B);
+  solution.q_G_B = (q_G_W * state.q_W_B).normalized();
+
+  const Eigen::Matrix3d J_rotation = rotation_jacobian(node);
+  Eigen::Matrix<double, 9, kStates> J = Eigen::Matrix<double, 9, kStates>::Zero();  // position, velocity, rotation
+  J.block<3, 3>(0, kPosition).setIdentity();
+  J.block<3, 3>(0, kYaw) = -skew(moved) * J_rotation;
+  J.col(kScale).head<3>() = moved;
+  if (solution.v_G_B.allFinite()) {
+    J.block<3, 3>(3, kYaw) = -skew(solution.v_G_B) * J_rotation;
+    J.col(kScale).segment<3>(3) = solution.v_G_B;
+  }
+  J.block<3, 3>(6, kYaw) = J_rotation;
+  InertialState inertial;
+  inertial.utime = state.utime;
+  inertial.p_G_B = solution.p_G_B;
+  inertial.v_G_B = solution.v_G_B;
+  inertial.q_G_B = solution.q_G_B;
+  inertial.covariance = J * newest_.covariance * J.transpose();
+  // From the newest keyframe to this state, as an edge of its own.
+  Keyframe here;
+  here.utime = std::max(state.utime, keyframe.utime + 1);
+  here.p_W_B = state.p_W_B;
+  here.height_above_ground = keyframe.height_above_ground;
+  const Transition transition = transition_between(options_, keyframe, here, q_G_W);
+  const Eigen::Matrix3d root = transition.position_root.inverse();
+  inertial.covariance.topLeftCorner<3, 3>() += root * root.transpose();
+  const double velocity_stddev = options_.edge.velocity_stddev * working_height(options_.edge, keyframe);
+  inertial.covariance.diagonal().segment<3>(3).array() += velocity_stddev * velocity_stddev;
+  inertial.covariance(8, 8) += transition.stddev(kYaw) * transition.stddev(kYaw);
+
+  solution.covariance << inertial.covariance.topLeftCorner<3, 3>(), inertial.covariance.topRightCorner<3, 3>(),
+      inertial.covariance.bottomLeftCorner<3, 3>(), inertial.covariance.bottomRightCorner<3, 3>();
+  if (solution.v_G_B.allFinite()) solution.velocity_covariance = inertial.covariance.block<3, 3>(3, 3);
+  const Protection level = carried_on(level_, newest_.covariance.block<3, 3>(kPosition, kPosition),
+                                      inertial.covariance.topLeftCorner<3, 3>());
+  solution.horizontal_protection_level = level.horizontal;
+  solution.vertical_protection_level = level.vertical;
+  solution.scale = scale;
+  solution.heading_offset = wrap_angle(node.yaw());
+  solution.compass_bias = wrap_angle(node.compass_bias());
+  solution.vertical_offset = node.shared().z();
+  solution.anchor = frame_->anchor();
+  solution.position = frame_->to_geodetic(solution.p_G_B);
+
+  odometry_utime_ = state.utime;
+  if (solution.v_G_B.allFinite() && state.gyro_bias.allFinite() && state.accel_bias.allFinite()) {
+    inertial_.rebase(inertial, state.gyro_bias, state.accel_bias);
+  } else {
+    inertial_.invalidate();
+  }
+  return solution;
+}
+
+Fusion::Carried Fusion::add_imu(const ImuSample& sample) {
+  Carried result;
+  result.outcome = inertial_.add(sample);
+  if (result.outcome != Outcome::kUsed || !frame_ || !last_located_) return result;
+  const auto state = inertial_.newest();
+  if (!state) return result;
+  result.solution = carried(*state);
+  judge(*result.solution, true, seconds_between(odometry_utime_, sample.utime) > kBlindAfter);
+  return result;
+}
+
+Solution Fusion::carried(const InertialState& state) {
+  Solution solution = *last_located_;
+  solution.utime = state.utime;
+  solution.session = session_;
+  solution.inertial = true;
+  solution.p_G_B = state.p_G_B;
+  solution.v_G_B = state.v_G_B;
+  solution.q_G_B = state.q_G_B;
+  solution.position = frame_->to_geodetic(state.p_G_B);
+  const Eigen::Matrix3d then = solution.covariance.topLeftCorner<3, 3>();
+  solution.covariance << state.covariance.topLeftCorner<3, 3>(), state.covariance.topRightCorner<3, 3>(),
+      state.covariance.bottomLeftCorner<3, 3>(), state.covariance.bottomRightCorner<3, 3>();
+  solution.velocity_covariance = state.covariance.block<3, 3>(3, 3);
+  Protection level;
+  // An odometry that has gone may have been wrong before it went: no bound.
+  if (graph_ && seconds_between(odometry_utime_, state.utime) <= kBlindAfter) {
+    level = carried_on({solution.horizontal_protection_level, solution.vertical_protection_level}, then,
+                       state.covariance.topLeftCorner<3, 3>());
+  }
+  solution.horizontal_protection_level = level.horizontal;
+  solution.vertical_protection_level = level.vertical;
+  return solution;
+}
+
+void Fusion::start_bridge(const OdometryState& state) {
+  if (bridge_ || !before_ || !frame_) return;
+  const auto inertial = inertial_.at(state.utime);
+  if (!inertial) return;
+  Estimate bridge = *before_;
+  bridge.state.x.segment<3>(kPosition) = inertial->p_G_B;
+  // Both attitudes know the vertical: what turns one into the other is a yaw.
+  bridge.state.x(kYaw) = yaw_of(inertial->q_G_B * state.q_W_B.conjugate());
+  bridge.state.x.segment<2>(kTilt).setZero();
+  bridge.state.x(kScale) = 0.0;
+  bridge.covariance.diagonal().segment<3>(kPosition) = inertial->covariance.diagonal().head<3>();
+  bridge.covariance(kYaw, kYaw) = inertial->covariance(8, 8);
+  bridge_ = bridge;
+  bridge_p_W_B_ = state.p_W_B;
+  try_bridge();
+}
+
+void Fusion::try_bridge() {
+  if (!bridge_ || waypoints_.empty() || graph_) return;
+  const Keyframe& first = waypoints_.begin()->second.keyframe;
+  const EdgeOptions& edge = options_.edge;
+  const FixOptions& fix = options_.fix;
+  NodeState guess = bridge_->state;
+  const Eigen::Vector3d back = guess.q_G_W() * (first.p_W_B - bridge_p_W_B_);
+  guess.x.segment<3>(kPosition) += back;
+  StateVector stddev = bridge_->covariance.diagonal().cwiseSqrt();
+  stddev.segment<3>(kPosition).array() += edge.scale_stddev * back.norm();
+  stddev.segment<2>(kTilt).setConstant(edge.tilt_stddev);
+  stddev(kScale) = edge.scale_stddev;
+  stddev.tail<3>() << fix.shared_horizontal_stddev, fix.shared_horizontal_stddev, fix.shared_vertical_stddev;
+  guess.x.tail<3>().setZero();
+  graph_ = std::make_unique<PoseGraph>(options_);
+  graph_->start(first, guess, stddev);
+  for (auto next = std::next(waypoints_.begin()); next != waypoints_.end(); ++next) append(next->second);
+  graph_->solve();
+  update_newest();
+  for (Sighting& sighting : waiting_) sighting.p_G_B = frame_->to_enu(sighting.fix.position);
+  bridge_.reset();
+}
+
+}  // namespace orthonav::fusion

@@ -1,0 +1,105 @@
+// Propagation by the inertial sensor, against the path that its samples were made from.
+#include "services/fusion/inertial.h"
+
+#include <gtest/gtest.h>
+
+#include "common/math/so3.h"
+#include "tests/fusion/synthetic_flight.h"
+
+namespace orthonav::fusion {
+namespace {
+
+class InertialOnAFlight : public ::testing::Test {
+ protected:
+  InertialOnAFlight() {
+    SyntheticOptions options;
+    options.duration = 20.0;
+    options.imu = true;
+    options.position_noise = options.heading_walk = options.scale_walk = 0.0;
+    flight_ = make_flight(options, 3);
+  }
+  // The truth at an image, with the biases that the odometry would give.
+  InertialState truth(size_t image) const {
+    InertialState state;
+    state.utime = flight_.states[image].utime;
+    state.p_G_B = flight_.truth[image];
+    state.q_G_B = flight_.truth_q[image];
+    state.v_G_B = (flight_.truth[image + 1] - flight_.truth[image - 1]) / 0.2;
+    return state;
+  }
+  void rebase(size_t image) {
+    inertial_.rebase(truth(image), flight_.states[image].gyro_bias, flight_.states[image].accel_bias);
+  }
+  void add_until(size_t image) {
+    while (next_ < flight_.imu.size() && flight_.imu[next_].utime <= flight_.states[image].utime) {
+      EXPECT_EQ(inertial_.add(flight_.imu[next_++]), Outcome::kUsed);
+    }
+  }
+  SyntheticFlight flight_;
+  Inertial inertial_{InertialOptions{}};
+  size_t next_ = 0;
+};
+
+TEST_F(InertialOnAFlight, FollowsThePathWithinItsOwnUncertainty) {
+  add_until(50);
+  rebase(50);
+  add_until(80);  // three seconds on
+  const auto state = inertial_.newest();
+  ASSERT_TRUE(state);
+  EXPECT_EQ(state->utime, flight_.states[80].utime);
+  const Eigen::Vector3d error = state->p_G_B - flight_.truth[80];
+  EXPECT_LT(error.norm(), 0.6);
+  for (int axis = 0; axis < 3; ++axis) {
+    EXPECT_LT(std::abs(error(axis)), 3.0 * std::sqrt(state->covariance(axis, axis)) + 0.05) << axis;
+  }
+  EXPECT_LT(state->q_G_B.angularDistance(flight_.truth_q[80]), 0.005);
+  EXPECT_LT((state->v_G_B - truth(80).v_G_B).norm(), 0.4);
+}
+
+TEST_F(InertialOnAFlight, ALateStateGivesTheSameAsAPromptOne) {
+  Inertial prompt{InertialOptions{}};
+  for (size_t k = 0; k < flight_.imu.size() && flight_.imu[k].utime <= flight_.states[60].utime; ++k) {
+    prompt.add(flight_.imu[k]);
+    if (flight_.imu[k].utime == flight_.states[50].utime) {
+      prompt.rebase(truth(50), flight_.states[50].gyro_bias, flight_.states[50].accel_bias);
+    }
+  }
+  add_until(60);
+  rebase(50);
+  ASSERT_TRUE(inertial_.newest());
+  EXPECT_LT((inertial_.newest()->p_G_B - prompt.newest()->p_G_B).norm(), 1e-9);
+  EXPECT_LT((inertial_.newest()->covariance - prompt.newest()->covariance).norm(), 1e-9);
+}
+
+TEST_F(InertialOnAFlight, SaysNothingBeforeAStateAfterAGapAndAfterTooLong) {
+  add_until(50);
+  EXPECT_FALSE(inertial_.newest());
+  rebase(50);
+  EXPECT_FALSE(inertial_.newest()) << "no sample after the state yet";
+  add_until(60);
+  EXPECT_TRUE(inertial_.newest());
+  EXPECT_FALSE(inertial_.at(flight_.states[70].utime)) << "a second ahead of the samples";
+  next_ += 40;  // 0.2 s are lost
+  add_until(70);
+  EXPECT_FALSE(inertial_.newest());
+  rebase(70);
+  add_until(75);
+  EXPECT_TRUE(inertial_.newest());
+  add_until(185);
+  EXPECT_FALSE(inertial_.newest()) << "longer than max_time";
+}
+
+TEST_F(InertialOnAFlight, RefusesWhatNoSensorMeasures) {
+  add_until(50);
+  ImuSample bad = flight_.imu[next_];
+  bad.specific_force.x() = kUnknown;
+  EXPECT_EQ(inertial_.add(bad), Outcome::kBadNumber);
+  bad = flight_.imu[next_];
+  bad.angular_rate.z() = 1e6;
+  EXPECT_EQ(inertial_.add(bad), Outcome::kBadNumber);
+  EXPECT_EQ(inertial_.add(flight_.imu[next_ - 1]), Outcome::kOutOfOrder);
+  EXPECT_EQ(inertial_.add(flight_.imu[next_]), Outcome::kUsed);
+}
+
+}  // namespace
+}  // namespace orthonav::fusion
