@@ -168,10 +168,11 @@ void VioService::update_health(const VioOutput& output) {
   health.set("features.tracked", output.num_tracked);
   health.set("keyframes", output.last_keyframe_id + 1);
   health.set("camera.time_offset_ms", 1e3 * output.time_offset);
-  if (output.session != announced_session_ && output.status != Status::kInitialising) {
-    announced_session_ = output.session;
-    spdlog::info("started session {}", output.session);
-  }
+  const bool flying = output.status != Status::kInitialising;
+  if (output.session != announced_session_ && flying) spdlog::info("started session {}", output.session);
+  if (flying) announced_session_ = output.session;
+  if (was_flying_ && !flying) spdlog::warn("session {} ended: {}", announced_session_, output.reason);
+  was_flying_ = flying;
   switch (output.status) {
     case Status::kInitialising:
       health.set_state(Health::State::kStarting, "initialising: " + output.reason);

@@ -39,6 +39,7 @@ class VioService final : public Service {
   ScaleHinter hinter_;
   std::map<std::string, double> reported_;  // rejects already shown in the health
   int announced_session_ = 0;
+  bool was_flying_ = false;
 };
 
 }  // namespace orthonav::vio
