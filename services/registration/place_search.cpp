@@ -193,21 +193,6 @@ std::vector<PlaceCandidate> best_coarse_places(const std::vector<ShiftedLikeliho
   return places;
 }
 
-double likelihood_at(const std::vector<const View*>& views, const MapIndex& index, const Eigen::Vector2d& place,
-                     const Alignment& alignment, const EvidenceOptions& options) {
-  double sum = 0;
-  for (const View* view : views) {
-    for (const ViewPoint& point : view->points) {
-      const Eigen::Vector2d cell =
-          index.cell(place + alignment.offset(views.front()->yaw, point.p_W, views.front()->keyframe.p_W_B));
-      const int feature =
-          index.feature(static_cast<int>(std::lround(cell.y())), static_cast<int>(std::lround(cell.x())));
-      if (feature >= 0) sum += evidence(point, index.descriptor(feature), options);
-    }
-  }
-  return sum;
-}
-
 std::vector<PlaceCandidate> best_fine_places(const std::vector<const View*>& views, const MapIndex& index,
                                              const std::vector<Alignment>& candidates, const Eigen::Vector2d& centre,
                                              double radius, double separation, int count,
@@ -216,19 +201,33 @@ std::vector<PlaceCandidate> best_fine_places(const std::vector<const View*>& vie
   const int side = 2 * reach + 1;
   std::vector<std::vector<float>> sums(candidates.size(),
                                        std::vector<float>(static_cast<size_t>(side) * static_cast<size_t>(side), 0.0F));
+  // Of each point, the features that any alignment and place puts it on are compared once.
+  std::vector<Cell> first(candidates.size());
+  std::vector<float> values;
   for (const View* view : views) {
     for (const ViewPoint& point : view->points) {
+      Cell low{1 << 30, 1 << 30}, high{-(1 << 30), -(1 << 30)};
       for (size_t h = 0; h < candidates.size(); ++h) {
-        const Eigen::Vector2d cell =
-            index.cell(centre + candidates[h].offset(views.front()->yaw, point.p_W, views.front()->keyframe.p_W_B));
-        const int row = static_cast<int>(std::lround(cell.y())) - reach;
-        const int column = static_cast<int>(std::lround(cell.x())) - reach;
+        const Eigen::Vector2d cell = index.cell(
+            centre + candidates[h].offset(views.front()->yaw, point.p_W, views.front()->keyframe.p_W_B));
+        first[h] = {static_cast<int>(std::lround(cell.y())) - reach, static_cast<int>(std::lround(cell.x())) - reach};
+        low = {std::min(low.row, first[h].row), std::min(low.column, first[h].column)};
+        high = {std::max(high.row, first[h].row + side), std::max(high.column, first[h].column + side)};
+      }
+      const int width = high.column - low.column;
+      values.assign(static_cast<size_t>(high.row - low.row) * static_cast<size_t>(width), 0.0F);
+      for (int row = low.row; row < high.row; ++row) {
+        for (int column = low.column; column < high.column; ++column) {
+          const int feature = index.feature(row, column);
+          if (feature < 0) continue;
+          values[static_cast<size_t>((row - low.row) * width + column - low.column)] =
+              evidence(point, index.descriptor(feature), options);
+        }
+      }
+      for (size_t h = 0; h < candidates.size(); ++h) {
         for (int i = 0; i < side; ++i) {
-          for (int j = 0; j < side; ++j) {
-            const int feature = index.feature(row + i, column + j);
-            if (feature < 0) continue;
-            sums[h][static_cast<size_t>(i * side + j)] += evidence(point, index.descriptor(feature), options);
-          }
+          const int from = (first[h].row + i - low.row) * width + first[h].column - low.column;
+          add(&values[static_cast<size_t>(from)], static_cast<size_t>(side), &sums[h][static_cast<size_t>(i * side)]);
         }
       }
     }

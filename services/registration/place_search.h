@@ -69,10 +69,6 @@ struct ShiftedLikelihood {
 std::vector<PlaceCandidate> best_coarse_places(const std::vector<ShiftedLikelihood>& keyframes, const MapIndex& index,
                                                const std::vector<Alignment>& candidates, double separation, int count);
 
-// Log-likelihood of one place at full resolution.
-double likelihood_at(const std::vector<const View*>& views, const MapIndex& index, const Eigen::Vector2d& place,
-                     const Alignment& alignment, const EvidenceOptions& options);
-
 // Best places at full resolution within `radius` of `centre`, the best first and at least `separation` apart.
 std::vector<PlaceCandidate> best_fine_places(const std::vector<const View*>& views, const MapIndex& index,
                                              const std::vector<Alignment>& candidates, const Eigen::Vector2d& centre,
