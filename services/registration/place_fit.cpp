@@ -15,7 +15,7 @@ namespace orthonav::registration {
 namespace {
 
 // A residual is never believed to be better than this, m.
-constexpr double kMinResidual = 0.15;
+constexpr double kMinResidual = 0.05;
 // Weight below which a match is no inlier.
 constexpr double kInlierWeight = 0.1;
 
@@ -52,8 +52,8 @@ std::vector<PlacedPoint> associate(const std::vector<const View*>& views, const 
         for (int u = column - cells; u <= column + cells; ++u) {
           const int feature = index.feature(v, u);
           if (feature < 0 || std::hypot(u - cell.x(), v - cell.y()) > reach) continue;
-          const double excess =
-              point.background.excess(dot_product(point.descriptor.data(), index.descriptor(feature)));
+          const auto product = static_cast<float>(dot_product(point.descriptor.data(), index.descriptor(feature)));
+          const double excess = point.background.excess(product, index.centring(feature));
           if (excess <= most) continue;
           most = excess;
           best.feature = feature;
@@ -121,7 +121,7 @@ void solve(const std::vector<const View*>& views, double first, double last, con
 // looks like the feature. False when the similarity has no peak nearby.
 bool align(const View& view, const ViewPoint& point, const uint8_t* feature, Eigen::Vector2f& shift) {
   constexpr float kStep = 2.5F;      // map pixels
-  constexpr float kClose = 1.0F;      // a smaller move needs no second look
+  constexpr float kClose = 1.0F;     // a smaller move needs no second look
   constexpr float kFurthest = 3.5F;  // a peak further from the start is another one
   std::array<uint8_t, kSiftBytes> descriptor{};
   const auto similarity = [&](const Eigen::Vector2f& at) {

@@ -40,8 +40,8 @@ struct SearchArea {
 };
 
 struct EvidenceOptions {
-  double threshold = 1.5;  // standard deviations above the mean from which a similarity counts
-  double limit = 9;        // the most that one point can say
+  double threshold = 1;  // standard deviations above the mean from which a likeness counts
+  double limit = 16;     // the most that one point can say
 };
 
 // Likelihood of places on the coarse grid, one picture for each alignment.

@@ -35,12 +35,14 @@ SubmapOptions SubmapOptions::from_config(ConfigNode& node) {
   options.query = QueryOptions::from_config(node);
   ConfigNode submap = node.child_or_empty("submap");
   submap.read("max_keyframes", options.max_keyframes, 1, 100);
+  submap.read("pose_keyframes", options.pose_keyframes, 1, 100);
   submap.read("search_heading", options.search_heading);
   submap.read("bound_stddevs", options.bound_stddevs, 1, 100);
   submap.read("min_radius", options.min_radius, 1, 1e6);
   submap.read("widening", options.widening, 1, 10);
   submap.read("second_distance", options.second_distance, 1, 1e6);
-  submap.read("min_likelihood_ratio", options.min_likelihood_ratio, 0, 1e6);
+  submap.read("min_likelihood_ratio", options.min_likelihood_ratio, 0, 1e9);
+  submap.read("min_likelihood_share", options.min_likelihood_share, 0, 1);
   submap.read("min_inliers", options.min_inliers, 6, 10000);
   submap.read("scale_stddev", options.fit.scale_stddev, 1e-4, 1);
   double tilt_stddev_deg = options.fit.tilt_stddev / kRadian;
@@ -60,8 +62,8 @@ void SubmapRegistrar::set_map(MapFeatures features, const MapGeometry& geometry)
   if (!(geometry.keypoint_size > 0)) throw std::invalid_argument("method submap needs a map with features: rootsift");
   index_.reset();  // the map is large: never hold two
   index_ = std::make_unique<MapIndex>(std::move(features), geometry);
-  const bool comparable = geometry.metres_per_pixel == geometry_.metres_per_pixel &&
-                          geometry.keypoint_size == geometry_.keypoint_size;
+  const bool comparable =
+      geometry.metres_per_pixel == geometry_.metres_per_pixel && geometry.keypoint_size == geometry_.keypoint_size;
   if (!comparable) keyframes_.clear();
   for (Remembered& keyframe : keyframes_) {
     for (Variant& variant : keyframe) variant.everywhere.reset();
@@ -75,10 +77,11 @@ void SubmapRegistrar::clear_map() {
   session_ = -1;
 }
 
-std::vector<const View*> SubmapRegistrar::views(size_t variant) const {
+std::vector<const View*> SubmapRegistrar::views(size_t variant, int count) const {
   std::vector<const View*> result;
-  result.reserve(keyframes_.size());
-  for (const Remembered& keyframe : keyframes_) result.push_back(keyframe[variant].view.get());
+  for (const Remembered& keyframe : keyframes_) {
+    if (static_cast<int>(result.size()) < count) result.push_back(keyframe[variant].view.get());
+  }
   return result;
 }
 
@@ -172,12 +175,13 @@ void SubmapRegistrar::search_everywhere(size_t variant) {
     }
     all.push_back({&*each.everywhere, each.view->keyframe.p_W_B, yaw});
   }
-  compare_at_full_resolution(best_coarse_places(all, *index_, candidates, options_.second_distance, options_.coarse_places),
-                             candidates, variant);
+  compare_at_full_resolution(
+      best_coarse_places(all, *index_, candidates, options_.second_distance, options_.coarse_places), candidates,
+      variant);
 }
 
 void SubmapRegistrar::search_around(const PositionPrior& prior, double radius, size_t variant) {
-  const std::vector<const View*> submap = views(variant);
+  const std::vector<const View*> submap = views(variant, options_.pose_keyframes);
   if (radius <= kFineRadius) {
     const std::vector<Alignment> candidates = alignments_for(variant, 1.5 * index_->pitch());
     for (const PlaceCandidate& place : best_fine_places(submap, *index_, candidates, prior.en, radius,
@@ -196,8 +200,9 @@ void SubmapRegistrar::search_around(const PositionPrior& prior, double radius, s
     likelihoods.push_back(coarse_likelihood(*view, *index_, candidates, {prior.en + back, radius}, options_.evidence));
     all.push_back({&likelihoods.back(), view->keyframe.p_W_B, newest.yaw});
   }
-  compare_at_full_resolution(best_coarse_places(all, *index_, candidates, options_.second_distance, options_.coarse_places),
-                             candidates, variant);
+  compare_at_full_resolution(
+      best_coarse_places(all, *index_, candidates, options_.second_distance, options_.coarse_places), candidates,
+      variant);
 }
 
 void SubmapRegistrar::compare_at_full_resolution(const std::vector<PlaceCandidate>& coarse,
@@ -205,8 +210,8 @@ void SubmapRegistrar::compare_at_full_resolution(const std::vector<PlaceCandidat
   for (const PlaceCandidate& candidate : coarse) {
     const Alignment& alignment = candidates[candidate.alignment];
     for (const PlaceCandidate& place :
-         best_fine_places(views(variant), *index_, {alignment}, candidate.en, 3 * index_->pitch(),
-                          options_.second_distance, 1, options_.evidence)) {
+         best_fine_places(views(variant, options_.max_keyframes), *index_, {alignment}, candidate.en,
+                          3 * index_->pitch(), options_.second_distance, 1, options_.evidence)) {
       places_.push_back({place.en, alignment, place.likelihood, variant});
     }
   }
@@ -232,14 +237,14 @@ Fix SubmapRegistrar::solve() {
   fix.num_keyframes = static_cast<int>(keyframes_.size());
   if (!fix.reason.empty()) return fix;
   fix.search_radius = radius_;
-  for (const View* view : views(0)) fix.num_query += static_cast<int>(view->points.size());
+  for (const View* view : views(0, options_.max_keyframes)) fix.num_query += static_cast<int>(view->points.size());
   if (places_.empty()) {
     ++without_fix_;
     fix.reason = "no place on the map looks like the submap";
     return fix;
   }
   const Place best = places_.front();
-  const std::vector<const View*> submap = views(best.variant);
+  const std::vector<const View*> submap = views(best.variant, options_.pose_keyframes);
   const View& newest = *submap.front();
   fix.log_likelihood = best.likelihood;
   fix.log_likelihood_ratio = best.likelihood;
@@ -276,9 +281,10 @@ Fix SubmapRegistrar::solve() {
     fix.heading_correction = wrap_angle(odometry_heading - yaw - heading_.value);
     fix.heading_correction_stddev = pose.yaw_stddev;
   }
-  if (fix.log_likelihood_ratio < options_.min_likelihood_ratio) {
+  const double needed = std::max(options_.min_likelihood_ratio, options_.min_likelihood_share * fix.log_likelihood);
+  if (fix.log_likelihood_ratio < needed) {
     fix.reason = fmt::format("another place is nearly as likely: log-likelihood ratio {:.0f}, {:.0f} is needed",
-                             fix.log_likelihood_ratio, options_.min_likelihood_ratio);
+                             fix.log_likelihood_ratio, needed);
   } else if (fix.num_inliers < options_.min_inliers) {
     fix.reason = fmt::format("{} inliers, {} are needed", fix.num_inliers, options_.min_inliers);
   } else if (!pose.ok) {

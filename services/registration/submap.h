@@ -26,14 +26,17 @@ namespace orthonav::registration {
 
 struct SubmapOptions {
   QueryOptions query;
-  int max_keyframes = 5;             // of a submap
-  bool search_heading = false;       // true: all headings, where nothing is known of it
-  double bound_stddevs = 4;          // the search covers so many standard deviations of the expected position
-  double min_radius = 15;            // m, and at least this
-  double widening = 1.5;             // factor of the radius for each keyframe without a fix
-  double second_distance = 15;       // m: places further from the best are other places
-  double min_likelihood_ratio = 60;  // of a fix, log-likelihood of the best place less that of the second
-  int min_inliers = 12;
+  int max_keyframes = 10;       // of a submap that is searched for everywhere
+  int pose_keyframes = 4;       // the newest of them, of which poses are made, and that are searched for nearby
+  bool search_heading = false;  // true: all headings, where nothing is known of it
+  double bound_stddevs = 4;     // the search covers so many standard deviations of the expected position
+  double min_radius = 15;       // m, and at least this
+  double widening = 1.5;        // factor of the radius for each keyframe without a fix
+  double second_distance = 15;  // m: places further from the best are other places
+  // Of a fix: the log-likelihood of the best place less that of the second, in itself and as a share of the former.
+  double min_likelihood_ratio = 150;
+  double min_likelihood_share = 0.35;
+  int min_inliers = 8;
   int coarse_places = 12;  // of the coarse grid that are compared at full resolution
   EvidenceOptions evidence;
   FitOptions fit;
@@ -80,7 +83,7 @@ class SubmapRegistrar {
     double likelihood = 0;
     size_t variant = 0;
   };
-  std::vector<const View*> views(size_t variant) const;
+  std::vector<const View*> views(size_t variant, int count) const;
   Alignment expected(size_t variant) const;
   std::vector<Alignment> alignments_for(size_t variant, double step) const;
   void search_everywhere(size_t variant);

@@ -133,8 +133,10 @@ void run(const Arguments& arguments) {
       submap.search(prior);
       fix = submap.solve();
       if (!bounded)
-        fix.valid = std::isfinite(fix.scale) && fix.log_likelihood_ratio >= threshold &&
-                    fix.num_inliers >= submap_options.min_inliers;
+        fix.valid =
+            std::isfinite(fix.scale) &&
+            fix.log_likelihood_ratio >= std::max(threshold, submap_options.min_likelihood_share * fix.log_likelihood) &&
+            fix.num_inliers >= submap_options.min_inliers;
     } else {
       const Query query = registrar.describe(keyframe, decoded.grey, *heading);
       described = now_ms();

@@ -20,13 +20,12 @@
 #include <random>
 #include <sstream>
 
-#include <sys/resource.h>
-
 #include <CLI/CLI.hpp>
 #include <GeographicLib/UTMUPS.hpp>
 #include <fmt/format.h>
 #include <opencv2/imgcodecs.hpp>
 #include <opencv2/imgproc.hpp>
+#include <sys/resource.h>
 
 #include "common/features/fixed_sift.h"
 #include "common/features/orientation_field.h"
@@ -254,8 +253,10 @@ void run(const Arguments& arguments) {
         submap.describe(keyframe, session, view.image, heading);
         submap.search(std::nullopt);
         fix = submap.solve();
-        fix.valid = std::isfinite(fix.scale) && fix.log_likelihood_ratio >= min_ratio &&
-                    fix.num_inliers >= submap_options.min_inliers;
+        fix.valid =
+            std::isfinite(fix.scale) &&
+            fix.log_likelihood_ratio >= std::max(min_ratio, submap_options.min_likelihood_share * fix.log_likelihood) &&
+            fix.num_inliers >= submap_options.min_inliers;
         const double used = heading.value + (std::isfinite(fix.heading_correction) ? fix.heading_correction : 0);
         error = ((rotation_G_W(keyframe.q_W_B, used) * keyframe.p_W_B).head<2>() + fix.translation - truth).norm();
       } else {
