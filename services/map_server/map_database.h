@@ -42,7 +42,7 @@ struct MapDescription {
   int tile_columns = 0;                       // west to east
   int tile_rows = 0;                          // south to north
   bool has_surface = false;                   // heights come from an elevation model
-  FeatureKind features = FeatureKind::kGrid;  // what the descriptors are
+  FeatureKind features = FeatureKind::kRootSift;  // what the descriptors are
   int64_t num_without_data = 0;               // interest points left out: no data in the raster or the elevation model
   int64_t num_without_texture = 0;            // interest points left out: nothing to recognise, as on water
 

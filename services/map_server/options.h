@@ -16,7 +16,7 @@ enum class FeatureKind {
 const char* name_of(FeatureKind kind);  // as in map_server.yaml
 
 struct BuildOptions {
-  FeatureKind features = FeatureKind::kGrid;
+  FeatureKind features = FeatureKind::kRootSift;
   double keypoint_stride = 10;         // map pixels between interest points
   double keypoint_size = 12;           // map pixels, see FixedSift
   double metres_per_pixel = 0;         // sigma; 0: the raster's own, at its centre

@@ -40,10 +40,13 @@ ORTHONAV_INLINE void coarse_products_loop(const uint8_t* query, const uint8_t* r
   }
 }
 
-ORTHONAV_INLINE void evidence_loop(const uint16_t* products, size_t count, float a, float b, float limit, float* out) {
+ORTHONAV_INLINE void evidence_loop(const uint16_t* products, const float* scales, const float* offsets, size_t count,
+                                   const EvidenceLine& line, float* out) {
+  const EvidenceLine l = line;
   for (size_t i = 0; i < count; ++i) {
-    const float excess = std::max(0.0F, a * static_cast<float>(products[i]) + b);
-    out[i] = std::min(limit, excess * excess);
+    const float correlation = (static_cast<float>(products[i]) - l.a) * scales[i] - offsets[i];
+    const float excess = std::max(0.0F, l.b * correlation - l.c);
+    out[i] = std::min(l.limit, excess * excess);
   }
 }
 
@@ -54,26 +57,27 @@ ORTHONAV_INLINE void add_loop(const float* values, size_t count, float* sum) {
 struct Functions {
   int32_t (*dot_product)(const uint8_t*, const uint8_t*);
   void (*coarse_products)(const uint8_t*, const uint8_t*, size_t, size_t, uint16_t*);
-  void (*evidence)(const uint16_t*, size_t, float, float, float, float*);
+  void (*evidence)(const uint16_t*, const float*, const float*, size_t, const EvidenceLine&, float*);
   void (*add)(const float*, size_t, float*);
 };
 
 // One set of functions for an instruction set; `target` is the attribute that asks for it.
-#define ORTHONAV_FUNCTIONS(suffix, target)                                                                           \
-  target int32_t dot_product_##suffix(const uint8_t* a, const uint8_t* b) {                                          \
-    return dot_product_loop(a, b);                                                                                   \
-  }                                                                                                                  \
-  target void coarse_products_##suffix(const uint8_t* query, const uint8_t* row, size_t stride, size_t count,        \
-                                       uint16_t* out) {                                                              \
-    coarse_products_loop(query, row, stride, count, out);                                                            \
-  }                                                                                                                  \
-  target void evidence_##suffix(const uint16_t* products, size_t count, float a, float b, float limit, float* out) { \
-    evidence_loop(products, count, a, b, limit, out);                                                                \
-  }                                                                                                                  \
-  target void add_##suffix(const float* values, size_t count, float* sum) {                                          \
-    add_loop(values, count, sum);                                                                                    \
-  }                                                                                                                  \
-  constexpr Functions functions_##suffix = {dot_product_##suffix, coarse_products_##suffix, evidence_##suffix,       \
+#define ORTHONAV_FUNCTIONS(suffix, target)                                                                         \
+  target int32_t dot_product_##suffix(const uint8_t* a, const uint8_t* b) {                                        \
+    return dot_product_loop(a, b);                                                                                 \
+  }                                                                                                                \
+  target void coarse_products_##suffix(const uint8_t* query, const uint8_t* row, size_t stride, size_t count,      \
+                                       uint16_t* out) {                                                            \
+    coarse_products_loop(query, row, stride, count, out);                                                          \
+  }                                                                                                                \
+  target void evidence_##suffix(const uint16_t* products, const float* scales, const float* offsets, size_t count, \
+                                const EvidenceLine& line, float* out) {                                            \
+    evidence_loop(products, scales, offsets, count, line, out);                                                    \
+  }                                                                                                                \
+  target void add_##suffix(const float* values, size_t count, float* sum) {                                        \
+    add_loop(values, count, sum);                                                                                  \
+  }                                                                                                                \
+  constexpr Functions functions_##suffix = {dot_product_##suffix, coarse_products_##suffix, evidence_##suffix,     \
                                             add_##suffix};
 
 ORTHONAV_FUNCTIONS(any, )
@@ -99,8 +103,9 @@ void coarse_products(const uint8_t* query, const uint8_t* row, size_t stride, si
   functions().coarse_products(query, row, stride, count, out);
 }
 
-void evidence_of(const uint16_t* products, size_t count, float a, float b, float limit, float* out) {
-  functions().evidence(products, count, a, b, limit, out);
+void evidence_of(const uint16_t* products, const float* scales, const float* offsets, size_t count,
+                 const EvidenceLine& line, float* out) {
+  functions().evidence(products, scales, offsets, count, line, out);
 }
 
 void add(const float* values, size_t count, float* sum) {

@@ -15,8 +15,12 @@ int32_t dot_product(const uint8_t* a, const uint8_t* b);
 // first component; the components are `stride` bytes apart.
 void coarse_products(const uint8_t* query, const uint8_t* row, size_t stride, size_t count, uint16_t* out);
 
-// What products say: out[i] = min(limit, max(0, a product + b)^2).
-void evidence_of(const uint16_t* products, size_t count, float a, float b, float limit, float* out);
+// What products say: out[i] = min(limit, max(0, b ((products[i] - a) scales[i] - offsets[i]) - c)^2).
+struct EvidenceLine {
+  float a = 0, b = 1, c = 0, limit = 0;
+};
+void evidence_of(const uint16_t* products, const float* scales, const float* offsets, size_t count,
+                 const EvidenceLine& line, float* out);
 
 // sum[i] += values[i].
 void add(const float* values, size_t count, float* sum);

@@ -13,6 +13,24 @@ namespace {
 
 constexpr int64_t kMaxCells = 100'000'000;
 constexpr int kSampleSize = 512;
+// Offset of a coarse cell without a feature.
+constexpr float kNowhere = 1e9F;
+
+template <size_t N>
+float product(const std::array<float, N>& mean, const uint8_t* descriptor) {
+  float sum = 0;
+  for (size_t k = 0; k < N; ++k) sum += mean[k] * static_cast<float>(descriptor[k]);
+  return sum;
+}
+
+template <size_t N>
+MapIndex::Centring centring_of(const std::array<float, N>& mean, float squared_mean, const uint8_t* descriptor) {
+  float squared = 0;
+  for (size_t k = 0; k < N; ++k) squared += static_cast<float>(descriptor[k]) * static_cast<float>(descriptor[k]);
+  const float with_mean = product(mean, descriptor);
+  const float scale = 1 / std::sqrt(std::max(1.0F, squared - 2 * with_mean + squared_mean));
+  return {scale, (with_mean - squared_mean) * scale};
+}
 
 }  // namespace
 
@@ -45,6 +63,16 @@ MapIndex::MapIndex(MapFeatures features, const MapGeometry& geometry)
     throw std::invalid_argument("the map's descriptors are not of 128 bytes");
   }
   if (!(pitch_ > 0)) throw std::invalid_argument("the map's features are no grid");
+  place_features();
+  take_sample();
+  centring_.resize(positions_.size());
+  for (int i = 0; i < num_features(); ++i) {
+    centring_[static_cast<size_t>(i)] = centring_of(mean_, squared_mean_, descriptor(i));
+  }
+  make_coarse();
+}
+
+void MapIndex::place_features() {
   // Interest points are in the middle of squares of the stride.
   const auto lattice = [this](const Eigen::Vector3f& p) {
     return Eigen::Vector2d(std::floor(p.x() / pitch_), std::floor(-p.y() / pitch_));
@@ -68,36 +96,64 @@ MapIndex::MapIndex(MapFeatures features, const MapGeometry& geometry)
     cells_[static_cast<size_t>(at.y()) * static_cast<size_t>(columns_) + static_cast<size_t>(at.x())] =
         static_cast<int32_t>(i);
   }
+}
 
-  coarse_.assign(static_cast<size_t>(coarse_rows()) * kCoarseBytes * static_cast<size_t>(coarse_columns()), 0);
-  std::array<uint8_t, kCoarseBytes> reduced{};
-  for (int row = 0; row < coarse_rows(); ++row) {
-    uint8_t* out = &coarse_[static_cast<size_t>(row) * kCoarseBytes * static_cast<size_t>(coarse_columns())];
-    for (int column = 0; column < coarse_columns(); ++column) {
-      int found = -1;
-      for (const auto& [v, u] : {std::pair{0, 0}, {0, 1}, {1, 0}, {1, 1}}) {
-        if (found < 0) found = feature(2 * row + v, 2 * column + u);
-      }
-      if (found < 0) continue;
-      coarsen(descriptor(found), reduced.data());
-      for (int k = 0; k < kCoarseBytes; ++k) {
-        out[static_cast<size_t>(k) * static_cast<size_t>(coarse_columns()) + static_cast<size_t>(column)] =
-            reduced[static_cast<size_t>(k)];
-      }
-    }
-  }
-
+void MapIndex::take_sample() {
   const int step = std::max(1, num_features() / kSampleSize);
   for (int i = step / 2; i < num_features() && static_cast<int>(sample_.size()) < kSampleSize; i += step) {
     sample_.push_back(i);
   }
+  const auto share = 1 / static_cast<float>(sample_.size());
+  std::array<uint8_t, kCoarseBytes> reduced{};
   coarse_sample_.create(kCoarseBytes, static_cast<int>(sample_.size()), CV_8U);
   for (size_t i = 0; i < sample_.size(); ++i) {
-    coarsen(descriptor(sample_[i]), reduced.data());
-    for (int k = 0; k < kCoarseBytes; ++k) {
-      coarse_sample_.at<uint8_t>(k, static_cast<int>(i)) = reduced[static_cast<size_t>(k)];
+    const uint8_t* of = descriptor(sample_[i]);
+    coarsen(of, reduced.data());
+    for (size_t k = 0; k < kSiftBytes; ++k) mean_[k] += share * static_cast<float>(of[k]);
+    for (size_t k = 0; k < kCoarseBytes; ++k) {
+      coarse_mean_[k] += share * static_cast<float>(reduced[k]);
+      coarse_sample_.at<uint8_t>(static_cast<int>(k), static_cast<int>(i)) = reduced[k];
     }
   }
+  for (const float value : mean_) squared_mean_ += value * value;
+  for (const float value : coarse_mean_) squared_coarse_mean_ += value * value;
+  for (const int feature : sample_) {
+    coarsen(descriptor(feature), reduced.data());
+    coarse_sample_centring_.push_back(centring_of(coarse_mean_, squared_coarse_mean_, reduced.data()));
+  }
+}
+
+void MapIndex::make_coarse() {
+  const auto columns = static_cast<size_t>(coarse_columns());
+  const size_t cells = static_cast<size_t>(coarse_rows()) * columns;
+  coarse_.assign(cells * kCoarseBytes, 0);
+  coarse_scales_.assign(cells, 0.0F);
+  coarse_offsets_.assign(cells, kNowhere);
+  std::array<uint8_t, kCoarseBytes> reduced{};
+  for (int row = 0; row < coarse_rows(); ++row) {
+    uint8_t* out = &coarse_[static_cast<size_t>(row) * kCoarseBytes * columns];
+    for (size_t column = 0; column < columns; ++column) {
+      int found = -1;
+      for (const auto& [v, u] : {std::pair{0, 0}, {0, 1}, {1, 0}, {1, 1}}) {
+        if (found < 0) found = feature(2 * row + v, 2 * static_cast<int>(column) + u);
+      }
+      if (found < 0) continue;
+      coarsen(descriptor(found), reduced.data());
+      for (size_t k = 0; k < kCoarseBytes; ++k) out[k * columns + column] = reduced[k];
+      const Centring centring = centring_of(coarse_mean_, squared_coarse_mean_, reduced.data());
+      const size_t cell = static_cast<size_t>(row) * columns + column;
+      coarse_scales_[cell] = centring.scale;
+      coarse_offsets_[cell] = centring.offset;
+    }
+  }
+}
+
+float MapIndex::product_with_mean(const uint8_t* descriptor) const {
+  return product(mean_, descriptor);
+}
+
+float MapIndex::product_with_coarse_mean(const uint8_t* coarse) const {
+  return product(coarse_mean_, coarse);
 }
 
 }  // namespace orthonav::registration

@@ -8,12 +8,14 @@
 // Immutable after construction.
 #pragma once
 
+#include <array>
 #include <cstdint>
 #include <vector>
 
 #include <Eigen/Core>
 #include <opencv2/core.hpp>
 
+#include "common/features/fixed_sift.h"
 #include "services/registration/types.h"
 
 namespace orthonav::registration {
@@ -27,6 +29,14 @@ void coarsen(const uint8_t* descriptor, uint8_t* coarse);
 
 class MapIndex {
  public:
+  // Descriptors of sums of gradients have much in common; what is the same everywhere says nothing of a place, and
+  // features near the mean look like everything. So likeness is the correlation of what differs from the mean m:
+  //   (q - m).(f - m) / |f - m| = (q.f - q.m) scale - offset,
+  // with scale = 1 / |f - m| and offset = (f.m - m.m) scale of the feature.
+  struct Centring {
+    float scale = 0, offset = 0;
+  };
+
   // Takes the features. Throws std::invalid_argument when there are none, their descriptors are not of kSiftBytes,
   // they are no grid of geometry's stride, or it spans more than a hundred million cells.
   MapIndex(MapFeatures features, const MapGeometry& geometry);
@@ -50,6 +60,9 @@ class MapIndex {
   const uint8_t* descriptor(int feature) const { return descriptors_.ptr(feature); }
   const Eigen::Vector3f& position(int feature) const { return positions_[static_cast<size_t>(feature)]; }
 
+  const Centring& centring(int feature) const { return centring_[static_cast<size_t>(feature)]; }
+  float product_with_mean(const uint8_t* descriptor) const;
+
   int coarse_rows() const { return (rows_ + 1) / 2; }
   int coarse_columns() const { return (columns_ + 1) / 2; }
   // One row of the coarse grid: kCoarseBytes times coarse_columns() bytes; zeros where there is no feature.
@@ -57,11 +70,25 @@ class MapIndex {
     return &coarse_[static_cast<size_t>(row) * kCoarseBytes * static_cast<size_t>(coarse_columns())];
   }
 
+  // The scales, and the offsets, of the features of a coarse row; without a feature the offset is beyond reach.
+  const float* coarse_scales(int row) const {
+    return &coarse_scales_[static_cast<size_t>(row) * static_cast<size_t>(coarse_columns())];
+  }
+  const float* coarse_offsets(int row) const {
+    return &coarse_offsets_[static_cast<size_t>(row) * static_cast<size_t>(coarse_columns())];
+  }
+  float product_with_coarse_mean(const uint8_t* coarse) const;
+
   // Features spread evenly over the map, to learn how similar a descriptor is to what is not its place.
   const std::vector<int>& sample() const { return sample_; }
   const cv::Mat& coarse_sample() const { return coarse_sample_; }  // their coarse descriptors, laid out as coarse_row
+  const std::vector<Centring>& coarse_sample_centring() const { return coarse_sample_centring_; }
 
  private:
+  void place_features();
+  void take_sample();
+  void make_coarse();
+
   std::vector<Eigen::Vector3f> positions_;
   cv::Mat descriptors_;
   double pitch_;
@@ -69,6 +96,12 @@ class MapIndex {
   int rows_ = 0, columns_ = 0;
   std::vector<int32_t> cells_;
   std::vector<uint8_t> coarse_;
+  std::array<float, kSiftBytes> mean_{};
+  std::array<float, kCoarseBytes> coarse_mean_{};
+  float squared_mean_ = 0, squared_coarse_mean_ = 0;
+  std::vector<Centring> centring_;
+  std::vector<float> coarse_scales_, coarse_offsets_;
+  std::vector<Centring> coarse_sample_centring_;
   std::vector<int> sample_;
   cv::Mat coarse_sample_;
 };

@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
+#include <utility>
 
 #include <Eigen/Cholesky>
 
@@ -14,7 +15,7 @@ namespace orthonav::registration {
 namespace {
 
 // A residual is never believed to be better than this, m.
-constexpr double kMinResidual = 0.15;
+constexpr double kMinResidual = 0.05;
 // Weight below which a match is no inlier.
 constexpr double kInlierWeight = 0.1;
 
@@ -51,8 +52,8 @@ std::vector<PlacedPoint> associate(const std::vector<const View*>& views, const 
         for (int u = column - cells; u <= column + cells; ++u) {
           const int feature = index.feature(v, u);
           if (feature < 0 || std::hypot(u - cell.x(), v - cell.y()) > reach) continue;
-          const double excess =
-              point.background.excess(dot_product(point.descriptor.data(), index.descriptor(feature)));
+          const auto product = static_cast<float>(dot_product(point.descriptor.data(), index.descriptor(feature)));
+          const double excess = point.background.excess(product, index.centring(feature));
           if (excess <= most) continue;
           most = excess;
           best.feature = feature;
@@ -92,7 +93,7 @@ void solve(const std::vector<const View*>& views, double first, double last, con
     }
     // Variance of a match per axis; matches that err together count less.
     const double variance = std::max(kMinResidual * kMinResidual, 0.5 * sum / std::max(1.0, weights));
-    const double trust = 1 / (variance * options.matches_per_observation);
+    const double trust = 1 / (variance * options.matches_per_observation * static_cast<double>(views.size()));
     information *= trust;
     gradient *= trust;
     const double turn_information = 1 / (options.heading_stddev * options.heading_stddev);
@@ -120,6 +121,7 @@ void solve(const std::vector<const View*>& views, double first, double last, con
 // looks like the feature. False when the similarity has no peak nearby.
 bool align(const View& view, const ViewPoint& point, const uint8_t* feature, Eigen::Vector2f& shift) {
   constexpr float kStep = 2.5F;      // map pixels
+  constexpr float kClose = 1.0F;     // a smaller move needs no second look
   constexpr float kFurthest = 3.5F;  // a peak further from the start is another one
   std::array<uint8_t, kSiftBytes> descriptor{};
   const auto similarity = [&](const Eigen::Vector2f& at) {
@@ -139,6 +141,7 @@ bool align(const View& view, const ViewPoint& point, const uint8_t* feature, Eig
       move(axis) = std::clamp(0.5F * (before - after) / curvature, -1.0F, 1.0F) * kStep;
     }
     shift += move;
+    if (move.norm() < kClose) break;
   }
   return (shift - start).norm() < kFurthest;
 }
@@ -153,13 +156,16 @@ void align_points(const std::vector<const View*>& views, const MapIndex& index, 
     const ViewPoint& point = point_of(views, placed);
     const Eigen::Vector2d expected = placed.en + placed.residual;
     const Eigen::Vector2d cell = index.cell(expected);
-    const int row = static_cast<int>(std::floor(cell.y()));
-    const int column = static_cast<int>(std::floor(cell.x()));
+    // The nearest feature and the one on the other side of the point.
+    const int row = static_cast<int>(std::lround(cell.y()));
+    const int column = static_cast<int>(std::lround(cell.x()));
+    const int across_row = row + (cell.y() > row ? 1 : -1);
+    const int across_column = column + (cell.x() > column ? 1 : -1);
     Eigen::Vector2d sum = Eigen::Vector2d::Zero();
     double ground = 0;
     int count = 0;
-    for (int corner = 0; corner < 4; ++corner) {
-      const int feature = index.feature(row + corner / 2, column + corner % 2);
+    for (const auto& [v, u] : {std::pair{row, column}, {across_row, across_column}}) {
+      const int feature = index.feature(v, u);
       if (feature < 0) continue;
       const Eigen::Vector2d en = index.position(feature).head<2>().cast<double>();
       const Eigen::Vector2d offset = (en - expected) / metres_per_pixel;
@@ -282,7 +288,7 @@ FittedPose fit_pose(const std::vector<const View*>& views, const PlaceFit& fit, 
       sum += weight * residual.squaredNorm();
     }
     const double variance = std::max(kMinResidual * kMinResidual, 0.5 * sum / std::max(1.0, weights));
-    const double trust = 1 / (variance * options.matches_per_observation);
+    const double trust = 1 / (variance * options.matches_per_observation * static_cast<double>(views.size()));
     information *= trust;
     gradient *= trust;
     const auto add_prior = [&](const Eigen::Matrix<double, 7, 1>& row, double residual, double stddev) {

@@ -20,13 +20,13 @@
 namespace orthonav::registration {
 
 struct FitOptions {
-  double heading_stddev = 0.05;        // rad, of the compass
-  double scale_stddev = 0.025;         // of the odometry
-  double tilt_stddev = 0.005;          // rad per axis, of the odometry's vertical
-  double map_stddev = 0.5;             // m, each of east and north: georeferencing error of the map
-  double ground_height_stddev = 1.0;   // m, of the map's heights
-  double matches_per_observation = 5;  // so many matches count as one
-  double min_excess = 2.0;             // standard deviations of similarity a match has at least
+  double heading_stddev = 0.05;         // rad, of the compass
+  double scale_stddev = 0.025;          // of the odometry
+  double tilt_stddev = 0.005;           // rad per axis, of the odometry's vertical
+  double map_stddev = 0.5;              // m, each of east and north: georeferencing error of the map
+  double ground_height_stddev = 1.0;    // m, of the map's heights
+  double matches_per_observation = 30;  // so many matches of a keyframe count as one, and so do those of the same point
+  double min_excess = 2.0;              // standard deviations of similarity a match has at least
 };
 
 // A point and the place on the map it was matched with.

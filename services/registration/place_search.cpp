@@ -59,9 +59,32 @@ std::vector<Peak> best_peaks(const std::vector<std::vector<float>>& pictures, in
   return peaks;
 }
 
-float evidence(const ViewPoint& point, const uint8_t* descriptor, const EvidenceOptions& options) {
+// Of each cell the largest of it and its eight neighbours: keyframes of a submap may lie a cell off each other, as the
+// odometry and whatever moved on the ground have it.
+void dilate(std::vector<float>& picture, int rows, int columns) {
+  const auto at = [columns](int row, int column) {
+    return static_cast<size_t>(row) * static_cast<size_t>(columns) + static_cast<size_t>(column);
+  };
+  std::vector<float> wide(picture.size());
+  for (int row = 0; row < rows; ++row) {
+    for (int column = 0; column < columns; ++column) {
+      wide[at(row, column)] = std::max({picture[at(row, std::max(0, column - 1))], picture[at(row, column)],
+                                        picture[at(row, std::min(columns - 1, column + 1))]});
+    }
+  }
+  for (int row = 0; row < rows; ++row) {
+    const int above = std::max(0, row - 1);
+    const int below = std::min(rows - 1, row + 1);
+    for (int column = 0; column < columns; ++column) {
+      picture[at(row, column)] = std::max({wide[at(above, column)], wide[at(row, column)], wide[at(below, column)]});
+    }
+  }
+}
+
+float evidence(const ViewPoint& point, const MapIndex& index, int feature, const EvidenceOptions& options) {
+  const auto product = static_cast<float>(dot_product(point.descriptor.data(), index.descriptor(feature)));
   const float excess =
-      point.background.excess(dot_product(point.descriptor.data(), descriptor)) - static_cast<float>(options.threshold);
+      point.background.excess(product, index.centring(feature)) - static_cast<float>(options.threshold);
   return excess > 0 ? std::min(static_cast<float>(options.limit), excess * excess) : 0.0F;
 }
 
@@ -139,9 +162,11 @@ CoarseLikelihood coarse_likelihood(const View& view, const MapIndex& index, cons
       const auto count = static_cast<size_t>(end - begin);
       const Background& background = entry.point->coarse_background;
       coarse_products(entry.point->coarse.data(), index.coarse_row(row) + begin, stride, count, products.data());
-      evidence_of(products.data(), count, 1 / background.stddev,
-                  -background.mean / background.stddev - static_cast<float>(options.threshold),
-                  static_cast<float>(options.limit), weights.data());
+      const EvidenceLine line{background.product, 1 / background.stddev,
+                              background.mean / background.stddev + static_cast<float>(options.threshold),
+                              static_cast<float>(options.limit)};
+      evidence_of(products.data(), index.coarse_scales(row) + begin, index.coarse_offsets(row) + begin, count, line,
+                  weights.data());
       for (size_t h = 0; h < candidates.size(); ++h) {
         const int place_row = row - entry.offsets[h].row - rows[0];
         if (place_row < 0 || place_row >= result.rows) continue;
@@ -155,6 +180,7 @@ CoarseLikelihood coarse_likelihood(const View& view, const MapIndex& index, cons
       }
     }
   }
+  for (std::vector<float>& picture : result.sums) dilate(picture, result.rows, result.columns);
   return result;
 }
 
@@ -193,21 +219,6 @@ std::vector<PlaceCandidate> best_coarse_places(const std::vector<ShiftedLikeliho
   return places;
 }
 
-double likelihood_at(const std::vector<const View*>& views, const MapIndex& index, const Eigen::Vector2d& place,
-                     const Alignment& alignment, const EvidenceOptions& options) {
-  double sum = 0;
-  for (const View* view : views) {
-    for (const ViewPoint& point : view->points) {
-      const Eigen::Vector2d cell =
-          index.cell(place + alignment.offset(views.front()->yaw, point.p_W, views.front()->keyframe.p_W_B));
-      const int feature =
-          index.feature(static_cast<int>(std::lround(cell.y())), static_cast<int>(std::lround(cell.x())));
-      if (feature >= 0) sum += evidence(point, index.descriptor(feature), options);
-    }
-  }
-  return sum;
-}
-
 std::vector<PlaceCandidate> best_fine_places(const std::vector<const View*>& views, const MapIndex& index,
                                              const std::vector<Alignment>& candidates, const Eigen::Vector2d& centre,
                                              double radius, double separation, int count,
@@ -216,21 +227,41 @@ std::vector<PlaceCandidate> best_fine_places(const std::vector<const View*>& vie
   const int side = 2 * reach + 1;
   std::vector<std::vector<float>> sums(candidates.size(),
                                        std::vector<float>(static_cast<size_t>(side) * static_cast<size_t>(side), 0.0F));
+  std::vector<std::vector<float>> own;
+  // Of each point, the features that any alignment and place puts it on are compared once.
+  std::vector<Cell> first(candidates.size());
+  std::vector<float> values;
   for (const View* view : views) {
+    own.assign(candidates.size(), std::vector<float>(sums.front().size(), 0.0F));
     for (const ViewPoint& point : view->points) {
+      Cell low{1 << 30, 1 << 30}, high{-(1 << 30), -(1 << 30)};
       for (size_t h = 0; h < candidates.size(); ++h) {
         const Eigen::Vector2d cell =
             index.cell(centre + candidates[h].offset(views.front()->yaw, point.p_W, views.front()->keyframe.p_W_B));
-        const int row = static_cast<int>(std::lround(cell.y())) - reach;
-        const int column = static_cast<int>(std::lround(cell.x())) - reach;
-        for (int i = 0; i < side; ++i) {
-          for (int j = 0; j < side; ++j) {
-            const int feature = index.feature(row + i, column + j);
-            if (feature < 0) continue;
-            sums[h][static_cast<size_t>(i * side + j)] += evidence(point, index.descriptor(feature), options);
-          }
+        first[h] = {static_cast<int>(std::lround(cell.y())) - reach, static_cast<int>(std::lround(cell.x())) - reach};
+        low = {std::min(low.row, first[h].row), std::min(low.column, first[h].column)};
+        high = {std::max(high.row, first[h].row + side), std::max(high.column, first[h].column + side)};
+      }
+      const int width = high.column - low.column;
+      values.assign(static_cast<size_t>(high.row - low.row) * static_cast<size_t>(width), 0.0F);
+      for (int row = low.row; row < high.row; ++row) {
+        for (int column = low.column; column < high.column; ++column) {
+          const int feature = index.feature(row, column);
+          if (feature < 0) continue;
+          values[static_cast<size_t>((row - low.row) * width + column - low.column)] =
+              evidence(point, index, feature, options);
         }
       }
+      for (size_t h = 0; h < candidates.size(); ++h) {
+        for (int i = 0; i < side; ++i) {
+          const int from = (first[h].row + i - low.row) * width + first[h].column - low.column;
+          add(&values[static_cast<size_t>(from)], static_cast<size_t>(side), &own[h][static_cast<size_t>(i * side)]);
+        }
+      }
+    }
+    for (size_t h = 0; h < candidates.size(); ++h) {
+      dilate(own[h], side, side);
+      add(own[h].data(), own[h].size(), sums[h].data());
     }
   }
   std::vector<PlaceCandidate> places;

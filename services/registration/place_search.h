@@ -40,8 +40,8 @@ struct SearchArea {
 };
 
 struct EvidenceOptions {
-  double threshold = 1.5;  // standard deviations above the mean from which a similarity counts
-  double limit = 9;        // the most that one point can say
+  double threshold = 1;  // standard deviations above the mean from which a likeness counts
+  double limit = 16;     // the most that one point can say
 };
 
 // Likelihood of places on the coarse grid, one picture for each alignment.
@@ -68,10 +68,6 @@ struct ShiftedLikelihood {
 };
 std::vector<PlaceCandidate> best_coarse_places(const std::vector<ShiftedLikelihood>& keyframes, const MapIndex& index,
                                                const std::vector<Alignment>& candidates, double separation, int count);
-
-// Log-likelihood of one place at full resolution.
-double likelihood_at(const std::vector<const View*>& views, const MapIndex& index, const Eigen::Vector2d& place,
-                     const Alignment& alignment, const EvidenceOptions& options);
 
 // Best places at full resolution within `radius` of `centre`, the best first and at least `separation` apart.
 std::vector<PlaceCandidate> best_fine_places(const std::vector<const View*>& views, const MapIndex& index,

@@ -18,6 +18,8 @@ constexpr double kRadian = M_PI / 180.0;
 
 const char* name_of(Method method) {
   switch (method) {
+    case Method::kSubmap:
+      return "submap";
     case Method::kM1:
       return "m1";
     case Method::kM2:
@@ -29,6 +31,7 @@ const char* name_of(Method method) {
 }
 
 const char* features_for(Method method) {
+  if (method == Method::kSubmap) return "rootsift";
   return method == Method::kM2 ? "sift" : "grid";
 }
 
@@ -36,13 +39,13 @@ RegistrarOptions RegistrarOptions::from_config(ConfigNode& node) {
   RegistrarOptions options;
   std::string method = name_of(options.method);
   node.read("method", method);
-  if (method == "m1") {
-    options.method = Method::kM1;
-  } else if (method == "m2") {
-    options.method = Method::kM2;
-  } else if (method != "paper") {
-    node.fail("method", "must be paper, m1 or m2");
+  bool known = false;
+  for (const Method each : {Method::kSubmap, Method::kPaper, Method::kM1, Method::kM2}) {
+    if (method != name_of(each)) continue;
+    options.method = each;
+    known = true;
   }
+  if (!known) node.fail("method", "must be submap, paper, m1 or m2");
 
   options.query = QueryOptions::from_config(node);
 

@@ -29,7 +29,7 @@
 
 namespace orthonav::registration {
 
-enum class Method { kPaper, kM1, kM2 };
+enum class Method { kSubmap, kPaper, kM1, kM2 };  // kSubmap: submap.h
 const char* name_of(Method method);
 // Kind of map features it compares, as map_info_t names them.
 const char* features_for(Method method);
@@ -46,7 +46,7 @@ struct ErrorModel {
 };
 
 struct RegistrarOptions {
-  Method method = Method::kPaper;
+  Method method = Method::kSubmap;
   QueryOptions query;
   MatcherOptions matcher;
   VotingOptions voting;

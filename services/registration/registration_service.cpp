@@ -22,6 +22,10 @@ namespace {
 constexpr double kRadian = M_PI / 180.0;
 // Keyframes without a compass sample after them, waiting: more mean that the compass has stopped.
 constexpr size_t kMaxPending = 16;
+// Positions kept for keyframes to come, and how far from a keyframe's time one still says where it was, s.
+constexpr size_t kNavStates = 100;
+constexpr double kMaxNavAge = 5;
+constexpr double kNavSpeedStddev = 2;  // m/s by which a position gets worse until the keyframe's time
 
 MapLevel level_of(const map_info_t& info) {
   MapLevel level;
@@ -41,6 +45,7 @@ RegistrationService::Setup RegistrationService::read(const std::filesystem::path
   ServiceOptions options;
   ConfigNode node = ConfigNode::load(config_folder / "registration.yaml");
   options.registrar = RegistrarOptions::from_config(node);
+  options.submap = SubmapOptions::from_config(node);
   double stddev_deg = options.default_heading_stddev / kRadian;
   node.read("default_heading_stddev_deg", stddev_deg, 0, 180);
   options.default_heading_stddev = stddev_deg * kRadian;
@@ -67,7 +72,9 @@ RegistrationService::RegistrationService(Node& node, const Setup& setup)
     : node_(node),
       options_(setup.options),
       camera_(setup.camera),
+      uses_submap_(setup.options.registrar.method == Method::kSubmap),
       registrar_(setup.options.registrar, setup.camera),
+      submap_(setup.options.submap, setup.camera),
       headings_(static_cast<int64_t>(setup.options.max_compass_gap * 1e6)),
       map_client_(setup.options.map) {
   node_.subscribe<image_t>(
@@ -131,7 +138,7 @@ void RegistrationService::handle(const map_info_t& info) {
   }
   if (problem.empty() ? map_client_.offer(level) : problem != map_problem_) {
     // Another map than before, of use or not.
-    registrar_.clear_map();
+    clear_map();
     map_fingerprint_.clear();
     if (!problem.empty()) map_client_.clear();
   }
@@ -150,6 +157,35 @@ void RegistrationService::handle(const nav_state_t& state) {
   const Eigen::Vector3d p_G = frame_.to_enu({state.latitude_deg, state.longitude_deg, state.ellipsoidal_height});
   map_client_.move(p_G.head<2>(), {state.v_G_B[0], state.v_G_B[1]},
                    std::sqrt(state.covariance[0] + state.covariance[7]));
+  if (!nav_states_.empty() && state.utime <= nav_states_.back().utime) nav_states_.clear();  // another flight
+  nav_states_.push_back(state);
+  if (nav_states_.size() > kNavStates) nav_states_.pop_front();
+}
+
+std::optional<PositionPrior> RegistrationService::expected_position(int64_t utime) const {
+  if (nav_states_.empty()) return std::nullopt;
+  const nav_state_t* nearest = &nav_states_.front();
+  for (const nav_state_t& nav : nav_states_) {
+    if (std::abs(nav.utime - utime) < std::abs(nearest->utime - utime)) nearest = &nav;
+  }
+  const double seconds = 1e-6 * static_cast<double>(utime - nearest->utime);
+  if (!(std::abs(seconds) < kMaxNavAge)) return std::nullopt;
+  const Eigen::Vector3d p_G =
+      frame_.to_enu({nearest->latitude_deg, nearest->longitude_deg, nearest->ellipsoidal_height});
+  const Eigen::Vector2d velocity(nearest->v_G_B[0], nearest->v_G_B[1]);
+  const double variance = std::max(nearest->covariance[0], nearest->covariance[7]);
+  PositionPrior prior;
+  prior.en = p_G.head<2>();
+  prior.stddev = std::sqrt(variance);
+  if (velocity.allFinite()) prior.en += seconds * velocity;
+  prior.stddev += kNavSpeedStddev * std::abs(seconds);
+  if (!prior.en.allFinite() || !std::isfinite(prior.stddev)) return std::nullopt;
+  return prior;
+}
+
+void RegistrationService::clear_map() {
+  registrar_.clear_map();
+  submap_.clear_map();
 }
 
 void RegistrationService::request_tiles() {
@@ -216,7 +252,17 @@ void RegistrationService::take_map() {
   if (!features) return;
   const MapLevel& level = *map_client_.level();
   const auto count = features->positions.size();
-  registrar_.set_map(std::move(*features), level.geometry);
+  try {
+    uses_submap_ ? submap_.set_map(std::move(*features), level.geometry)
+                 : registrar_.set_map(std::move(*features), level.geometry);
+  } catch (const std::invalid_argument& error) {
+    map_problem_ = error.what();
+    problem_fingerprint_ = level.layout.fingerprint;
+    map_client_.clear();
+    node_.health().add("map.rejected");
+    report_state();
+    return;
+  }
   map_fingerprint_ = level.layout.fingerprint;
   spdlog::info("map {} is here: {} of {} features at {:.2f} m/px", map_fingerprint_, count, level.layout.num_features,
                level.geometry.metres_per_pixel);
@@ -227,7 +273,7 @@ void RegistrationService::take_map() {
 void RegistrationService::handle(const vio_keyframe_t& keyframe) {
   node_.health().add("keyframes.received");
   map_client_.see(keyframe.height_above_ground / camera_.focal());
-  if (!registrar_.has_map()) {
+  if (!has_map()) {
     node_.health().add("keyframes.before_map");
     return;
   }
@@ -243,7 +289,7 @@ void RegistrationService::process_pending() {
     if (!ready) return;
     const vio_keyframe_t keyframe = std::move(pending_.front());
     pending_.pop_front();
-    if (registrar_.has_map()) register_keyframe(keyframe);
+    if (has_map()) register_keyframe(keyframe);
   }
 }
 
@@ -266,19 +312,38 @@ void RegistrationService::register_keyframe(const vio_keyframe_t& message) {
       fix.reason = decoded.error;
       node_.health().reject("camera", "image of a keyframe: " + decoded.error);
     } else {
-      const Keyframe keyframe = keyframe_of(message);
-      const Query query = registrar_.describe(keyframe, decoded.grey, *heading);
-      out.describe_ms = describing.ms();
-      const Stopwatch matching(node_);
-      const auto matches = registrar_.match(query);
-      out.match_ms = matching.ms();
-      const Stopwatch solving(node_);
-      fix = registrar_.solve(keyframe, query, matches, *heading);
-      out.solve_ms = solving.ms();
+      out.describe_ms = describing.ms();  // so far: decoding the image
+      fix = register_image(message, decoded.grey, *heading, out);
     }
   }
   out.total_ms = total.ms();
   publish(message, fix, heading, out);
+}
+
+Fix RegistrationService::register_image(const vio_keyframe_t& message, const cv::Mat& image, const Heading& heading,
+                                        map_fix_t& out) {
+  const Keyframe keyframe = keyframe_of(message);
+  const Stopwatch describing(node_);
+  if (uses_submap_) {
+    submap_.describe(keyframe, message.session, image, heading);
+    out.describe_ms += describing.ms();
+    const Stopwatch searching(node_);
+    submap_.search(expected_position(message.utime));
+    out.match_ms = searching.ms();
+    const Stopwatch solving(node_);
+    Fix fix = submap_.solve();
+    out.solve_ms = solving.ms();
+    return fix;
+  }
+  const Query query = registrar_.describe(keyframe, image, heading);
+  out.describe_ms += describing.ms();
+  const Stopwatch matching(node_);
+  const auto matches = registrar_.match(query);
+  out.match_ms = matching.ms();
+  const Stopwatch solving(node_);
+  Fix fix = registrar_.solve(keyframe, query, matches, heading);
+  out.solve_ms = solving.ms();
+  return fix;
 }
 
 void RegistrationService::publish(const vio_keyframe_t& keyframe, const Fix& fix, const std::optional<Heading>& heading,
@@ -291,8 +356,10 @@ void RegistrationService::publish(const vio_keyframe_t& keyframe, const Fix& fix
   out.map_fingerprint = map_fingerprint_;
   const double nan = std::numeric_limits<double>::quiet_NaN();
   const double full_turn = 2 * M_PI;
-  out.heading = heading ? std::fmod(heading->value + full_turn, full_turn) : nan;
-  out.heading_stddev = heading ? heading->stddev : nan;
+  const bool corrected = std::isfinite(fix.heading_correction);
+  const double used = heading ? heading->value + (corrected ? fix.heading_correction : 0) : nan;
+  out.heading = used - full_turn * std::floor(used / full_turn);
+  out.heading_stddev = corrected ? fix.heading_correction_stddev : heading ? heading->stddev : nan;
   node_.publish(channel::kMapFix, out);
   ++num_tried_;
   if (fix.valid) ++num_fixes_;
@@ -304,7 +371,7 @@ void RegistrationService::report_state() {
   Health& health = node_.health();
   if (!map_problem_.empty()) {
     health.set_state(Health::State::kFailed, map_problem_);
-  } else if (!registrar_.has_map()) {
+  } else if (!has_map()) {
     health.set_state(Health::State::kStarting, map_client_.waiting_for());
   } else if (health.counter("compass.received") == 0) {
     health.set_state(Health::State::kStarting, "waiting for COMPASS");

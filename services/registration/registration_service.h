@@ -22,11 +22,13 @@
 #include "services/registration/heading_buffer.h"
 #include "services/registration/map_client.h"
 #include "services/registration/registrar.h"
+#include "services/registration/submap.h"
 
 namespace orthonav::registration {
 
 struct ServiceOptions {
   RegistrarOptions registrar;
+  SubmapOptions submap;
   double declination = 0;                     // rad, east positive, of aircraft.yaml
   double default_heading_stddev = M_PI / 60;  // rad, where the compass does not say
   double max_compass_gap = 0.3;               // s between a keyframe and the compass samples used for it
@@ -54,17 +56,24 @@ class RegistrationService : public Service {
   void handle(const map_tile_t& tile);
   void handle(const nav_state_t& state);
   void handle(const vio_keyframe_t& keyframe);
+  bool has_map() const { return uses_submap_ ? submap_.has_map() : registrar_.has_map(); }
+  void clear_map();
   void request_tiles();
   void take_map();
   void process_pending();
   void register_keyframe(const vio_keyframe_t& keyframe);
+  Fix register_image(const vio_keyframe_t& message, const cv::Mat& image, const Heading& heading, map_fix_t& out);
+  std::optional<PositionPrior> expected_position(int64_t utime) const;
   void publish(const vio_keyframe_t& keyframe, const Fix& fix, const std::optional<Heading>& heading, map_fix_t& out);
   void report_state();
 
   Node& node_;
   ServiceOptions options_;
   CameraModel camera_;
+  bool uses_submap_;  // method submap: else registrar_ does the work
   Registrar registrar_;
+  SubmapRegistrar submap_;
+  std::deque<nav_state_t> nav_states_;  // of the last seconds, those with a position
 
   std::map<int64_t, image_t> images_;  // by utime
   HeadingBuffer headings_;

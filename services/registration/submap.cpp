@@ -12,14 +12,14 @@ namespace orthonav::registration {
 namespace {
 
 constexpr double kRadian = M_PI / 180;
-// Places of the coarse grid that are compared at full resolution.
-constexpr int kCoarsePlaces = 12;
 // Largest radius, m, that is searched at full resolution at once.
 constexpr double kFineRadius = 32;
 // How well a fix knows heading and scale for the next one, and how fast the odometry's scale may change.
 constexpr double kFittedTurnStddev = 0.7 * kRadian;
 constexpr double kFittedScaleStddev = 0.01;
 constexpr double kFittedShare = 0.3;
+// Headings tried where none is known: a descriptor stands a turn of half a step.
+constexpr int kHeadingsTried = 24;
 
 // Root mean square of the points' horizontal distances from the body, m.
 double lever_of(const View& view) {
@@ -35,12 +35,14 @@ SubmapOptions SubmapOptions::from_config(ConfigNode& node) {
   options.query = QueryOptions::from_config(node);
   ConfigNode submap = node.child_or_empty("submap");
   submap.read("max_keyframes", options.max_keyframes, 1, 100);
+  submap.read("pose_keyframes", options.pose_keyframes, 1, 100);
   submap.read("search_heading", options.search_heading);
   submap.read("bound_stddevs", options.bound_stddevs, 1, 100);
   submap.read("min_radius", options.min_radius, 1, 1e6);
   submap.read("widening", options.widening, 1, 10);
   submap.read("second_distance", options.second_distance, 1, 1e6);
-  submap.read("min_likelihood_ratio", options.min_likelihood_ratio, 0, 1e6);
+  submap.read("min_likelihood_ratio", options.min_likelihood_ratio, 0, 1e9);
+  submap.read("min_likelihood_share", options.min_likelihood_share, 0, 1);
   submap.read("min_inliers", options.min_inliers, 6, 10000);
   submap.read("scale_stddev", options.fit.scale_stddev, 1e-4, 1);
   double tilt_stddev_deg = options.fit.tilt_stddev / kRadian;
@@ -57,9 +59,15 @@ SubmapRegistrar::SubmapRegistrar(const SubmapOptions& options, const CameraModel
     : options_(options), camera_(camera) {}
 
 void SubmapRegistrar::set_map(MapFeatures features, const MapGeometry& geometry) {
-  clear_map();
   if (!(geometry.keypoint_size > 0)) throw std::invalid_argument("method submap needs a map with features: rootsift");
+  index_.reset();  // the map is large: never hold two
   index_ = std::make_unique<MapIndex>(std::move(features), geometry);
+  const bool comparable =
+      geometry.metres_per_pixel == geometry_.metres_per_pixel && geometry.keypoint_size == geometry_.keypoint_size;
+  if (!comparable) keyframes_.clear();
+  for (Remembered& keyframe : keyframes_) {
+    for (Variant& variant : keyframe) variant.everywhere.reset();
+  }
   geometry_ = geometry;
 }
 
@@ -69,10 +77,11 @@ void SubmapRegistrar::clear_map() {
   session_ = -1;
 }
 
-std::vector<const View*> SubmapRegistrar::views() const {
+std::vector<const View*> SubmapRegistrar::views(size_t variant, int count) const {
   std::vector<const View*> result;
-  result.reserve(keyframes_.size());
-  for (const Remembered& keyframe : keyframes_) result.push_back(keyframe.view.get());
+  for (const Remembered& keyframe : keyframes_) {
+    if (static_cast<int>(result.size()) < count) result.push_back(keyframe[variant].view.get());
+  }
   return result;
 }
 
@@ -90,22 +99,43 @@ bool SubmapRegistrar::describe(const Keyframe& keyframe, int session, const cv::
   refused_ = reason_to_refuse(keyframe, image, camera_, heading.value);
   if (!refused_.empty()) return false;
   const double odometry_heading = heading_of(keyframe.q_W_B);
-  const double yaw = wrap_angle(odometry_heading - heading.value);
-  ++num_headings_;
-  compass_yaw_ = num_headings_ == 1 ? yaw : compass_yaw_ + wrap_angle(yaw - compass_yaw_) / num_headings_;
-  auto view =
-      std::make_unique<View>(make_view(keyframe, image, camera_, odometry_heading - fitted_yaw_.value_or(compass_yaw_),
-                                       fitted_scale_.value_or(1.0), *index_, geometry_, options_.query));
-  refused_ = view->refused;
+  if (options_.search_heading) {
+    compass_yaw_ = 0;
+  } else {
+    const double yaw = wrap_angle(odometry_heading - heading.value);
+    ++num_headings_;
+    compass_yaw_ = num_headings_ == 1 ? yaw : compass_yaw_ + wrap_angle(yaw - compass_yaw_) / num_headings_;
+  }
+  const int num_variants = options_.search_heading && !fitted_yaw_ ? kHeadingsTried : 1;
+  Remembered variants;
+  for (int i = 0; i < num_variants && refused_.empty(); ++i) {
+    const double yaw = fitted_yaw_.value_or(compass_yaw_) + 2 * M_PI * i / num_variants;
+    variants.push_back(
+        {std::make_unique<View>(make_view(keyframe, image, camera_, odometry_heading - yaw, fitted_scale_.value_or(1.0),
+                                          *index_, geometry_, options_.query)),
+         std::nullopt});
+    refused_ = variants.back().view->refused;
+  }
   if (!refused_.empty()) return false;
-  keyframes_.push_front({std::move(view), std::nullopt});
+  if (!keyframes_.empty() && keyframes_.front().size() != variants.size()) keyframes_.clear();
+  keyframes_.push_front(std::move(variants));
   if (static_cast<int>(keyframes_.size()) > options_.max_keyframes) keyframes_.pop_back();
   return true;
 }
 
-Alignment SubmapRegistrar::expected() const {
-  const double yaw = keyframes_.front().view->yaw;
+Alignment SubmapRegistrar::expected(size_t variant) const {
+  if (keyframes_.front().size() > 1) return {0, fitted_scale_.value_or(1.0)};
+  const double yaw = keyframes_.front()[variant].view->yaw;
   return {wrap_angle(fitted_yaw_.value_or(compass_yaw_) - yaw), fitted_scale_.value_or(1.0)};
+}
+
+std::vector<Alignment> SubmapRegistrar::alignments_for(size_t variant, double step) const {
+  const size_t num_variants = keyframes_.front().size();
+  const double turn_stddev = fitted_yaw_        ? kFittedTurnStddev
+                             : num_variants > 1 ? 0.5 * M_PI / static_cast<double>(num_variants)
+                                                : heading_.stddev;
+  return alignments(expected(variant), turn_stddev, fitted_scale_ ? kFittedScaleStddev : options_.fit.scale_stddev,
+                    1.5 * lever_of(*keyframes_.front()[variant].view), step);
 }
 
 void SubmapRegistrar::search(const std::optional<PositionPrior>& prior) {
@@ -117,72 +147,88 @@ void SubmapRegistrar::search(const std::optional<PositionPrior>& prior) {
                           std::pow(options_.widening, std::min(without_fix_, 50));
     if (radius < 0.5 * size.norm()) radius_ = radius;
   }
-  if (std::isfinite(radius_)) {
-    search_around(*prior, radius_);
-  } else {
-    search_everywhere();
-  }
-}
-
-void SubmapRegistrar::search_everywhere() {
-  const double step = 2 * index_->pitch();
-  const bool known = fitted_yaw_.has_value();
-  const double turn_stddev = options_.search_heading && !known ? M_PI : known ? kFittedTurnStddev : heading_.stddev;
-  std::vector<Alignment> candidates =
-      alignments(expected(), turn_stddev, known ? kFittedScaleStddev : options_.fit.scale_stddev,
-                 1.5 * lever_of(*keyframes_.front().view), step);
-  const bool same = candidates.size() == alignments_.size();
-  for (Remembered& keyframe : keyframes_) {
-    if (!same) keyframe.everywhere.reset();
-  }
-  alignments_ = std::move(candidates);
-  std::vector<ShiftedLikelihood> all;
-  for (Remembered& keyframe : keyframes_) {
-    if (!keyframe.everywhere) {
-      keyframe.everywhere = coarse_likelihood(*keyframe.view, *index_, alignments_, {}, options_.evidence);
-    }
-    all.push_back({&*keyframe.everywhere, keyframe.view->keyframe.p_W_B, keyframes_.front().view->yaw});
-  }
-  compare_at_full_resolution(best_coarse_places(all, *index_, alignments_, options_.second_distance, kCoarsePlaces));
-}
-
-void SubmapRegistrar::search_around(const PositionPrior& prior, double radius) {
-  const bool known = fitted_yaw_.has_value();
-  const double turn_stddev = known ? kFittedTurnStddev : heading_.stddev;
-  const double scale_stddev = known ? kFittedScaleStddev : options_.fit.scale_stddev;
-  const double lever = 1.5 * lever_of(*keyframes_.front().view);
-  if (radius <= kFineRadius) {
-    alignments_ = alignments(expected(), turn_stddev, scale_stddev, lever, 1.5 * index_->pitch());
-    places_ = best_fine_places(views(), *index_, alignments_, prior.en, radius, options_.second_distance, 2,
-                               options_.evidence);
-    return;
-  }
-  alignments_ = alignments(expected(), turn_stddev, scale_stddev, lever, 2 * index_->pitch());
-  std::vector<CoarseLikelihood> likelihoods;
-  likelihoods.reserve(keyframes_.size());
-  std::vector<ShiftedLikelihood> all;
-  const View& newest = *keyframes_.front().view;
-  for (const View* view : views()) {
-    const Eigen::Vector2d back = expected().offset(newest.yaw, view->keyframe.p_W_B, newest.keyframe.p_W_B);
-    likelihoods.push_back(coarse_likelihood(*view, *index_, alignments_, {prior.en + back, radius}, options_.evidence));
-    all.push_back({&likelihoods.back(), view->keyframe.p_W_B, newest.yaw});
-  }
-  compare_at_full_resolution(best_coarse_places(all, *index_, alignments_, options_.second_distance, kCoarsePlaces));
-}
-
-void SubmapRegistrar::compare_at_full_resolution(const std::vector<PlaceCandidate>& coarse) {
-  places_.clear();
-  for (const PlaceCandidate& candidate : coarse) {
-    std::vector<PlaceCandidate> fine =
-        best_fine_places(views(), *index_, {alignments_[candidate.alignment]}, candidate.en, 3 * index_->pitch(),
-                         options_.second_distance, 1, options_.evidence);
-    for (PlaceCandidate& place : fine) {
-      place.alignment = candidate.alignment;
-      places_.push_back(place);
+  for (size_t variant = 0; variant < keyframes_.front().size(); ++variant) {
+    if (std::isfinite(radius_)) {
+      search_around(*prior, radius_, variant);
+    } else {
+      search_everywhere(variant);
     }
   }
   std::stable_sort(places_.begin(), places_.end(),
-                   [](const PlaceCandidate& a, const PlaceCandidate& b) { return a.likelihood > b.likelihood; });
+                   [](const Place& a, const Place& b) { return a.likelihood > b.likelihood; });
+}
+
+void SubmapRegistrar::search_everywhere(size_t variant) {
+  const std::vector<Alignment> candidates = alignments_for(variant, 2 * index_->pitch());
+  if (candidates.size() != num_alignments_) {
+    for (Remembered& keyframe : keyframes_) {
+      for (Variant& each : keyframe) each.everywhere.reset();
+    }
+    num_alignments_ = candidates.size();
+  }
+  const double yaw = keyframes_.front()[variant].view->yaw;
+  std::vector<ShiftedLikelihood> all;
+  for (Remembered& keyframe : keyframes_) {
+    Variant& each = keyframe[variant];
+    if (!each.everywhere) {
+      each.everywhere = coarse_likelihood(*each.view, *index_, candidates, {}, options_.evidence);
+    }
+    all.push_back({&*each.everywhere, each.view->keyframe.p_W_B, yaw});
+  }
+  compare_at_full_resolution(
+      best_coarse_places(all, *index_, candidates, options_.second_distance, options_.coarse_places), candidates,
+      variant);
+}
+
+void SubmapRegistrar::search_around(const PositionPrior& prior, double radius, size_t variant) {
+  const std::vector<const View*> submap = views(variant, options_.pose_keyframes);
+  if (radius <= kFineRadius) {
+    const std::vector<Alignment> candidates = alignments_for(variant, 1.5 * index_->pitch());
+    for (const PlaceCandidate& place : best_fine_places(submap, *index_, candidates, prior.en, radius,
+                                                        options_.second_distance, 2, options_.evidence)) {
+      places_.push_back({place.en, candidates[place.alignment], place.likelihood, variant});
+    }
+    return;
+  }
+  const std::vector<Alignment> candidates = alignments_for(variant, 2 * index_->pitch());
+  std::vector<CoarseLikelihood> likelihoods;
+  likelihoods.reserve(submap.size());
+  std::vector<ShiftedLikelihood> all;
+  const View& newest = *submap.front();
+  for (const View* view : submap) {
+    const Eigen::Vector2d back = candidates.front().offset(newest.yaw, view->keyframe.p_W_B, newest.keyframe.p_W_B);
+    likelihoods.push_back(coarse_likelihood(*view, *index_, candidates, {prior.en + back, radius}, options_.evidence));
+    all.push_back({&likelihoods.back(), view->keyframe.p_W_B, newest.yaw});
+  }
+  compare_at_full_resolution(
+      best_coarse_places(all, *index_, candidates, options_.second_distance, options_.coarse_places), candidates,
+      variant);
+}
+
+void SubmapRegistrar::compare_at_full_resolution(const std::vector<PlaceCandidate>& coarse,
+                                                 const std::vector<Alignment>& candidates, size_t variant) {
+  for (const PlaceCandidate& candidate : coarse) {
+    const Alignment& alignment = candidates[candidate.alignment];
+    for (const PlaceCandidate& place :
+         best_fine_places(views(variant, options_.max_keyframes), *index_, {alignment}, candidate.en,
+                          3 * index_->pitch(), options_.second_distance, 1, options_.evidence)) {
+      places_.push_back({place.en, alignment, place.likelihood, variant});
+    }
+  }
+}
+
+void SubmapRegistrar::learn_from(const FittedPose& pose, size_t variant) {
+  without_fix_ = 0;
+  fitted_yaw_ = fitted_yaw_ ? *fitted_yaw_ + kFittedShare * wrap_angle(pose.yaw - *fitted_yaw_) : pose.yaw;
+  fitted_scale_ = fitted_scale_ ? *fitted_scale_ + kFittedShare * (pose.scale - *fitted_scale_) : pose.scale;
+  // The heading is known from now on: of each keyframe, what was described under another one is of no use.
+  for (Remembered& keyframe : keyframes_) {
+    if (keyframe.size() == 1) continue;
+    Remembered kept;
+    kept.push_back(std::move(keyframe[variant]));
+    kept.front().everywhere.reset();
+    keyframe = std::move(kept);
+  }
 }
 
 Fix SubmapRegistrar::solve() {
@@ -191,18 +237,18 @@ Fix SubmapRegistrar::solve() {
   fix.num_keyframes = static_cast<int>(keyframes_.size());
   if (!fix.reason.empty()) return fix;
   fix.search_radius = radius_;
-  const std::vector<const View*> submap = views();
-  const View& newest = *submap.front();
-  for (const View* view : submap) fix.num_query += static_cast<int>(view->points.size());
+  for (const View* view : views(0, options_.max_keyframes)) fix.num_query += static_cast<int>(view->points.size());
   if (places_.empty()) {
     ++without_fix_;
     fix.reason = "no place on the map looks like the submap";
     return fix;
   }
-  const PlaceCandidate& best = places_.front();
+  const Place best = places_.front();
+  const std::vector<const View*> submap = views(best.variant, options_.pose_keyframes);
+  const View& newest = *submap.front();
   fix.log_likelihood = best.likelihood;
   fix.log_likelihood_ratio = best.likelihood;
-  for (const PlaceCandidate& other : places_) {
+  for (const Place& other : places_) {
     if ((other.en - best.en).norm() < options_.second_distance) continue;
     fix.log_likelihood_ratio = best.likelihood - other.likelihood;
     break;
@@ -210,9 +256,9 @@ Fix SubmapRegistrar::solve() {
 
   FitOptions fit_options = options_.fit;
   fit_options.heading_stddev = options_.search_heading ? M_PI : heading_.stddev;
-  const Alignment prior{wrap_angle(compass_yaw_ - newest.yaw), 1.0};
+  const Alignment prior{options_.search_heading ? 0 : wrap_angle(compass_yaw_ - newest.yaw), 1.0};
   const PlaceFit fit =
-      fit_place(submap, *index_, geometry_.metres_per_pixel, best.en, alignments_[best.alignment], prior, fit_options);
+      fit_place(submap, *index_, geometry_.metres_per_pixel, best.en, best.alignment, prior, fit_options);
   const FittedPose pose = fit.ok ? fit_pose(submap, fit, prior, fit_options) : FittedPose{};
   const double odometry_heading = heading_of(newest.keyframe.q_W_B);
   const double yaw = pose.ok ? pose.yaw : wrap_angle(odometry_heading - heading_.value);
@@ -235,9 +281,10 @@ Fix SubmapRegistrar::solve() {
     fix.heading_correction = wrap_angle(odometry_heading - yaw - heading_.value);
     fix.heading_correction_stddev = pose.yaw_stddev;
   }
-  if (fix.log_likelihood_ratio < options_.min_likelihood_ratio) {
+  const double needed = std::max(options_.min_likelihood_ratio, options_.min_likelihood_share * fix.log_likelihood);
+  if (fix.log_likelihood_ratio < needed) {
     fix.reason = fmt::format("another place is nearly as likely: log-likelihood ratio {:.0f}, {:.0f} is needed",
-                             fix.log_likelihood_ratio, options_.min_likelihood_ratio);
+                             fix.log_likelihood_ratio, needed);
   } else if (fix.num_inliers < options_.min_inliers) {
     fix.reason = fmt::format("{} inliers, {} are needed", fix.num_inliers, options_.min_inliers);
   } else if (!pose.ok) {
@@ -248,9 +295,7 @@ Fix SubmapRegistrar::solve() {
     ++without_fix_;
     return fix;
   }
-  without_fix_ = 0;
-  fitted_yaw_ = fitted_yaw_ ? *fitted_yaw_ + kFittedShare * wrap_angle(pose.yaw - *fitted_yaw_) : pose.yaw;
-  fitted_scale_ = fitted_scale_ ? *fitted_scale_ + kFittedShare * (pose.scale - *fitted_scale_) : pose.scale;
+  learn_from(pose, best.variant);
   return fix;
 }
 

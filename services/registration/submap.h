@@ -26,14 +26,18 @@ namespace orthonav::registration {
 
 struct SubmapOptions {
   QueryOptions query;
-  int max_keyframes = 5;             // of a submap
-  bool search_heading = false;       // true: all headings, where nothing is known of it
-  double bound_stddevs = 4;          // the search covers so many standard deviations of the expected position
-  double min_radius = 15;            // m, and at least this
-  double widening = 1.5;             // factor of the radius for each keyframe without a fix
-  double second_distance = 15;       // m: places further from the best are other places
-  double min_likelihood_ratio = 60;  // of a fix, log-likelihood of the best place less that of the second
-  int min_inliers = 12;
+  int max_keyframes = 10;       // of a submap that is searched for everywhere
+  int pose_keyframes = 4;       // the newest of them, of which poses are made, and that are searched for nearby
+  bool search_heading = false;  // true: all headings, where nothing is known of it
+  double bound_stddevs = 4;     // the search covers so many standard deviations of the expected position
+  double min_radius = 15;       // m, and at least this
+  double widening = 1.5;        // factor of the radius for each keyframe without a fix
+  double second_distance = 15;  // m: places further from the best are other places
+  // Of a fix: the log-likelihood of the best place less that of the second, in itself and as a share of the former.
+  double min_likelihood_ratio = 150;
+  double min_likelihood_share = 0.35;
+  int min_inliers = 8;
+  int coarse_places = 12;  // of the coarse grid that are compared at full resolution
   EvidenceOptions evidence;
   FitOptions fit;
 
@@ -52,8 +56,10 @@ class SubmapRegistrar {
   SubmapRegistrar(const SubmapOptions& options, const CameraModel& camera);
 
   bool has_map() const { return index_ != nullptr; }
-  // Throws std::invalid_argument as MapIndex does, and for a map without a keypoint size.
+  // A map, or another part or resolution of the same: the submap goes on where it can be compared. Throws
+  // std::invalid_argument as MapIndex does, and for a map without a keypoint size.
   void set_map(MapFeatures features, const MapGeometry& geometry);
+  // Before a map with another G.
   void clear_map();
 
   // The three stages of a keyframe, to be called in this order for each; separate so that the caller can time them.
@@ -64,17 +70,27 @@ class SubmapRegistrar {
   Fix solve();
 
  private:
-  // What a keyframe without a prior position says of every place.
-  struct Remembered {
+  // A keyframe as described under one assumption on the heading, and what it says of every place.
+  struct Variant {
     std::unique_ptr<View> view;
     std::optional<CoarseLikelihood> everywhere;
   };
-  std::vector<const View*> views() const;
-  Alignment expected() const;
-  void set_alignments(const Heading& heading);
-  void search_everywhere();
-  void search_around(const PositionPrior& prior, double radius);
-  void compare_at_full_resolution(const std::vector<PlaceCandidate>& coarse);
+  using Remembered = std::vector<Variant>;  // one for each heading tried; the same number for all keyframes
+  // A place, and the heading it was found under.
+  struct Place {
+    Eigen::Vector2d en;
+    Alignment alignment;
+    double likelihood = 0;
+    size_t variant = 0;
+  };
+  std::vector<const View*> views(size_t variant, int count) const;
+  Alignment expected(size_t variant) const;
+  std::vector<Alignment> alignments_for(size_t variant, double step) const;
+  void search_everywhere(size_t variant);
+  void search_around(const PositionPrior& prior, double radius, size_t variant);
+  void compare_at_full_resolution(const std::vector<PlaceCandidate>& coarse, const std::vector<Alignment>& candidates,
+                                  size_t variant);
+  void learn_from(const FittedPose& pose, size_t variant);
 
   SubmapOptions options_;
   CameraModel camera_;
@@ -91,8 +107,8 @@ class SubmapRegistrar {
   int without_fix_ = 0;  // keyframes since the last fix
 
   std::string refused_;
-  std::vector<Alignment> alignments_;
-  std::vector<PlaceCandidate> places_;
+  size_t num_alignments_ = 0;  // of the remembered likelihoods
+  std::vector<Place> places_;
   double radius_ = 0;
 };
 

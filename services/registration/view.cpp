@@ -18,30 +18,41 @@ double node_width(double keypoint_size) {
   return std::max(1.0, std::round(1.5 * keypoint_size / 4.5));
 }
 
-Background background_of(const uint8_t* descriptor, const MapIndex& index) {
+// Fills in mean and deviation from the products with the index' sample.
+template <class Product>
+void learn(const std::vector<MapIndex::Centring>& sample, const Product& product, Background& background) {
   double sum = 0, squares = 0;
-  for (const int feature : index.sample()) {
-    const double product = dot_product(descriptor, index.descriptor(feature));
-    sum += product;
-    squares += product * product;
+  for (size_t i = 0; i < sample.size(); ++i) {
+    const double correlation = background.correlation(static_cast<float>(product(i)), sample[i]);
+    sum += correlation;
+    squares += correlation * correlation;
   }
-  const auto count = static_cast<double>(index.sample().size());
+  const auto count = static_cast<double>(sample.size());
   const double mean = sum / count;
-  return {static_cast<float>(mean), static_cast<float>(std::sqrt(std::max(1.0, squares / count - mean * mean)))};
+  background.mean = static_cast<float>(mean);
+  background.stddev = static_cast<float>(std::sqrt(std::max(1e-9, squares / count - mean * mean)));
 }
 
-Background coarse_background_of(const uint8_t* coarse, const MapIndex& index) {
+Background fine_background(const uint8_t* descriptor, const MapIndex& index) {
+  Background background;
+  background.product = index.product_with_mean(descriptor);
+  std::vector<MapIndex::Centring> sample;
+  sample.reserve(index.sample().size());
+  for (const int feature : index.sample()) sample.push_back(index.centring(feature));
+  learn(
+      sample, [&](size_t i) { return dot_product(descriptor, index.descriptor(index.sample()[i])); }, background);
+  return background;
+}
+
+Background coarse_background(const uint8_t* coarse, const MapIndex& index) {
+  Background background;
+  background.product = index.product_with_coarse_mean(coarse);
   const cv::Mat& sample = index.coarse_sample();
   std::vector<uint16_t> products(static_cast<size_t>(sample.cols));
   coarse_products(coarse, sample.ptr(), products.size(), products.size(), products.data());
-  double sum = 0, squares = 0;
-  for (const uint16_t product : products) {
-    sum += product;
-    squares += static_cast<double>(product) * product;
-  }
-  const auto count = static_cast<double>(products.size());
-  const double mean = sum / count;
-  return {static_cast<float>(mean), static_cast<float>(std::sqrt(std::max(1.0, squares / count - mean * mean)))};
+  learn(
+      index.coarse_sample_centring(), [&](size_t i) { return products[i]; }, background);
+  return background;
 }
 
 }  // namespace
@@ -103,8 +114,8 @@ View make_view(const Keyframe& keyframe, const cv::Mat& image, const CameraModel
         (stretch.cwiseProduct(tracked.pixel + Eigen::Vector2d(0.5, 0.5)) - Eigen::Vector2d(0.5, 0.5)).cast<float>();
     if (!view.field->describe(point.pixel, point.jacobian, point.descriptor.data())) continue;
     coarsen(point.descriptor.data(), point.coarse.data());
-    point.background = background_of(point.descriptor.data(), index);
-    point.coarse_background = coarse_background_of(point.coarse.data(), index);
+    point.background = fine_background(point.descriptor.data(), index);
+    point.coarse_background = coarse_background(point.coarse.data(), index);
     view.points.push_back(point);
   }
   if (static_cast<int>(view.points.size()) <= options.min_points) {

@@ -23,12 +23,20 @@
 
 namespace orthonav::registration {
 
-// What a descriptor's similarity to places of no relation looks like: mean and standard deviation over the map.
+// How a point's likeness to the map's features is judged: the correlation of the descriptors' differences from the
+// map's mean one (map_index.h), in standard deviations above what places of no relation give.
 struct Background {
-  float mean = 0;
+  float product = 0;  // of the point's descriptor with the mean one
+  float mean = 0;     // of `correlation` over the map
   float stddev = 1;
-  // The similarity in standard deviations above what chance gives.
-  float excess(int32_t product) const { return (static_cast<float>(product) - mean) / stddev; }
+
+  // Correlation, but for a factor of the point's own.
+  float correlation(float with_point, const MapIndex::Centring& feature) const {
+    return (with_point - product) * feature.scale - feature.offset;
+  }
+  float excess(float with_point, const MapIndex::Centring& feature) const {
+    return (correlation(with_point, feature) - mean) / stddev;
+  }
 };
 
 struct ViewPoint {

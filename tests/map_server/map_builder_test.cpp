@@ -106,6 +106,7 @@ TEST_F(MapOfOneGround, HasTheSamePositionsFromUtmWebMercatorAndWgs84Within5Cm) {
       // Square in degrees, so far from square on the ground, as WGS84 rasters usually are.
       {"WGS84", orthophoto("wgs84", "EPSG:4326", kSigma / degree, kSigma / degree, {360, 240})}};
   BuildOptions options;
+  options.features = FeatureKind::kGrid;
   options.metres_per_pixel = kSigma;
   std::map<std::string, Lattice> lattices;
   for (const auto& [name, raster] : rasters) {
@@ -262,7 +263,7 @@ TEST_F(MapOfOneGround, KeepsTheDatabaseBesideTheRasterUntilSomethingChanges) {
   const auto count = [&](const BuildProgress& progress) { builds += progress.done == progress.total ? 1 : 0; };
   BuildOptions options;
   const auto file = prepare_map(raster, options, count);
-  EXPECT_EQ(file, raster.string() + ".grid.onmap");
+  EXPECT_EQ(file, raster.string() + ".rootsift.onmap");
   EXPECT_EQ(prepare_map(raster, options, count), file);
   EXPECT_EQ(builds, 1);
   options.keypoint_size = 16;

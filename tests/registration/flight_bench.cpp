@@ -35,6 +35,8 @@ using namespace orthonav;
 using namespace orthonav::registration;
 
 struct Arguments {
+  EvidenceOptions evidence;
+  int coarse_places = SubmapOptions().coarse_places;
   std::filesystem::path log, map, config, csv;
   std::string method = "submap";
   double prior_sigma = 0;
@@ -85,10 +87,13 @@ void run(const Arguments& arguments) {
   // Cold: nothing is ever accepted, so that nothing is known for the next keyframe. Whether it would be is judged here.
   const double threshold = submap_options.min_likelihood_ratio;
   if (!bounded) submap_options.min_likelihood_ratio = 1e6;
+  submap_options.evidence = arguments.evidence;
+  submap_options.coarse_places = arguments.coarse_places;
   SubmapRegistrar submap(submap_options, camera);
   RegistrarOptions options;
-  if (arguments.method == "m1") options.method = Method::kM1;
-  if (arguments.method == "m2") options.method = Method::kM2;
+  for (const Method method : {Method::kSubmap, Method::kPaper, Method::kM1, Method::kM2}) {
+    if (arguments.method == name_of(method)) options.method = method;
+  }
   Registrar registrar(options, camera);
   if (arguments.method == "submap") {
     submap.set_map(features_of(database), geometry);
@@ -128,8 +133,10 @@ void run(const Arguments& arguments) {
       submap.search(prior);
       fix = submap.solve();
       if (!bounded)
-        fix.valid = std::isfinite(fix.scale) && fix.log_likelihood_ratio >= threshold &&
-                    fix.num_inliers >= submap_options.min_inliers;
+        fix.valid =
+            std::isfinite(fix.scale) &&
+            fix.log_likelihood_ratio >= std::max(threshold, submap_options.min_likelihood_share * fix.log_likelihood) &&
+            fix.num_inliers >= submap_options.min_inliers;
     } else {
       const Query query = registrar.describe(keyframe, decoded.grey, *heading);
       described = now_ms();
@@ -234,6 +241,9 @@ int main(int argc, char** argv) {
   app.add_option("--size", arguments.size, "keypoint size, map pixels");
   app.add_option("--seed", arguments.seed, "of the made-up prior");
   app.add_option("--csv", arguments.csv);
+  app.add_option("--evidence-threshold", arguments.evidence.threshold);
+  app.add_option("--evidence-limit", arguments.evidence.limit);
+  app.add_option("--coarse-places", arguments.coarse_places);
   CLI11_PARSE(app, argc, argv);
   cv::setNumThreads(1);
   try {

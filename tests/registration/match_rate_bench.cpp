@@ -2,9 +2,17 @@
 // are taken as points on a plane, with the true scale and rotation plus errors. Not run by ctest (it needs
 // ../shared/data and minutes):
 //
-//   build/release/bin/registration-match-rate arroio --seeds 3 --size 8
-//   build/release/bin/registration-match-rate port --seeds 1 --size 16
+//   build/release/bin/registration-match-rate arroio --seeds 3 --method submap
+//   build/release/bin/registration-match-rate arroio --seeds 3 --method paper --size 8
+//   build/release/bin/registration-match-rate port --seeds 1 --method submap --keyframes 1
+//   build/release/bin/registration-match-rate growth --features 116354,1000000,10000000
+//
+// growth times the cold search on ever larger maps: the real one in the corner of a plain of its patches in disorder.
+//
+// With method submap, a keyframe is registered together with those before it in the video, whose places relative to it
+// are the true ones, stretched by the scale's error.
 #include <algorithm>
+#include <chrono>
 #include <cmath>
 #include <cstdlib>
 #include <filesystem>
@@ -17,11 +25,14 @@
 #include <fmt/format.h>
 #include <opencv2/imgcodecs.hpp>
 #include <opencv2/imgproc.hpp>
+#include <sys/resource.h>
 
 #include "common/features/fixed_sift.h"
+#include "common/features/orientation_field.h"
 #include "common/geo/raster.h"
 #include "common/math/statistics.h"
 #include "services/registration/registrar.h"
+#include "services/registration/submap.h"
 
 namespace {
 
@@ -33,7 +44,7 @@ struct View {
   cv::Mat image;
   Eigen::Vector2d centre;
   double scale = 1;
-  double rotation = 0;  // rad
+  double rotation = 0;  // rad, clockwise: the heading of the image's top
 };
 
 struct Scene {
@@ -42,15 +53,14 @@ struct Scene {
   std::vector<View> views;
 };
 
-Scene arroio(const std::filesystem::path& folder, int step) {
+Scene arroio(const std::filesystem::path& folder) {
   Scene scene;
   scene.map = cv::imread((folder / "map.jpg").string(), cv::IMREAD_GRAYSCALE);
   scene.metres_per_pixel = 0.243;
   std::ifstream truth(folder / "truth.csv");
   std::string line;
   std::getline(truth, line);
-  for (int i = 0; std::getline(truth, line); ++i) {
-    if (i % step != 0) continue;
+  while (std::getline(truth, line)) {
     std::replace(line.begin(), line.end(), ',', ' ');
     std::istringstream fields(line);
     std::string name;
@@ -103,7 +113,7 @@ Scene port(const std::filesystem::path& folder, int num_views) {
   return scene;
 }
 
-MapFeatures describe_map(const Scene& scene, const MapGeometry& geometry) {
+MapFeatures describe_map(const Scene& scene, const MapGeometry& geometry, Method method) {
   MapFeatures features;
   std::vector<cv::Point2f> points;
   if (geometry.keypoint_size > 0) {
@@ -113,7 +123,9 @@ MapFeatures describe_map(const Scene& scene, const MapGeometry& geometry) {
         points.emplace_back(static_cast<float>(u), static_cast<float>(v));
       }
     }
-    features.descriptors = FixedSift(geometry.keypoint_size).describe(scene.map, points);
+    features.descriptors = method == Method::kSubmap
+                               ? OrientationField(scene.map, {.keypoint_size = geometry.keypoint_size}).describe(points)
+                               : FixedSift(geometry.keypoint_size).describe(scene.map, points);
   } else {
     DetectedSift detected = detect_sift(scene.map);
     points = std::move(detected.points);
@@ -126,12 +138,15 @@ MapFeatures describe_map(const Scene& scene, const MapGeometry& geometry) {
   return features;
 }
 
-// A body whose x axis is the image's up, looking straight down from the height the view's scale means.
+// A body whose x axis is the image's up, looking straight down from the height the view's scale means, in an odometry's
+// world that is the map's, stretched by `scale_error`.
 Keyframe keyframe_of(const View& view, const CameraModel& camera, double metres_per_pixel, double scale_error,
                      int num_corners) {
   Keyframe keyframe;
   keyframe.height_above_ground = view.scale * metres_per_pixel * camera.focal() * scale_error;
-  keyframe.p_W_B = {0, 0, keyframe.height_above_ground};
+  const Eigen::Vector2d en = scale_error * metres_per_pixel * Eigen::Vector2d(view.centre.x(), -view.centre.y());
+  keyframe.p_W_B = {en.x(), en.y(), keyframe.height_above_ground};
+  keyframe.q_W_B = Eigen::AngleAxisd(M_PI / 2 - view.rotation, Eigen::Vector3d::UnitZ());
   keyframe.extrinsics.R_B_C << 0, -1, 0, -1, 0, 0, 0, 0, -1;
   std::vector<cv::Point2f> corners;
   cv::goodFeaturesToTrack(view.image, corners, num_corners, 0.01, 20);
@@ -140,77 +155,228 @@ Keyframe keyframe_of(const View& view, const CameraModel& camera, double metres_
     point.id = static_cast<int64_t>(i);
     point.pixel = {corners[i].x, corners[i].y};
     point.ray_C = *camera.unproject(point.pixel);
-    point.p_W = keyframe.p_W_B + keyframe.height_above_ground * (keyframe.extrinsics.R_B_C * point.ray_C);
+    point.p_W =
+        keyframe.p_W_B + keyframe.height_above_ground * (keyframe.q_W_B * (keyframe.extrinsics.R_B_C * point.ray_C));
     keyframe.points.push_back(point);
   }
   return keyframe;
 }
 
 struct Arguments {
+  EvidenceOptions evidence;
+  int coarse_places = SubmapOptions().coarse_places;
   std::string scene;
-  std::string method = "paper";
-  std::filesystem::path data;
+  std::string method = "submap";
+  std::filesystem::path data, csv;
   int seeds = 3;
-  int step = 15;
+  int step = 15, first = 0;
+  int keyframes = 5, spacing = 3;
   int corners = 150;
-  double size = 8;
+  double size = 12;
   double stride = 10;
   double heading_sigma_deg = 3;
   double scale_sigma = 0.03;
   int checks = 32;
+  std::vector<int64_t> features{116'354, 1'000'000, 10'000'000};
 };
 
+double now_ms() {
+  return std::chrono::duration<double, std::milli>(std::chrono::steady_clock::now().time_since_epoch()).count();
+}
+
 void run(const Arguments& arguments) {
-  const Scene scene = arguments.scene == "arroio" ? arroio(arguments.data / "arroio_do_meio", arguments.step)
-                                                  : port(arguments.data / "port_kalimantan", 60);
+  const bool is_arroio = arguments.scene == "arroio";
+  const Scene scene =
+      is_arroio ? arroio(arguments.data / "arroio_do_meio") : port(arguments.data / "port_kalimantan", 60);
   if (scene.map.empty() || scene.views.empty()) throw std::runtime_error("no data in " + arguments.data.string());
+  const int step = is_arroio ? arguments.step : 1;
   RegistrarOptions options;
   options.matcher.checks = arguments.checks;
-  if (arguments.method == "m1") options.method = Method::kM1;
-  if (arguments.method == "m2") options.method = Method::kM2;
+  for (const Method method : {Method::kSubmap, Method::kPaper, Method::kM1, Method::kM2}) {
+    if (arguments.method == name_of(method)) options.method = method;
+  }
+  const bool uses_submap = options.method == Method::kSubmap;
   MapGeometry geometry{scene.metres_per_pixel, arguments.size, arguments.stride};
   if (options.method == Method::kM2) geometry.keypoint_size = geometry.keypoint_stride = 0;
-  const MapFeatures features = describe_map(scene, geometry);
-  fmt::print("{}: {} features, {} views\n", arguments.scene, features.positions.size(), scene.views.size());
+  const double start = now_ms();
+  const MapFeatures features = describe_map(scene, geometry, options.method);
+  fmt::print("{}: {} features described in {:.2f} s\n", arguments.scene, features.positions.size(),
+             1e-3 * (now_ms() - start));
+  CameraParameters parameters;
+  parameters.width = scene.views.front().image.cols;
+  parameters.height = scene.views.front().image.rows;
+  parameters.fx = parameters.fy = 1.3 * parameters.width;
+  parameters.cx = 0.5 * parameters.width;
+  parameters.cy = 0.5 * parameters.height;
+  const CameraModel camera(parameters);
+  std::FILE* csv = arguments.csv.empty() ? nullptr : std::fopen(arguments.csv.c_str(), "w");
+  SubmapOptions submap_options;
+  const double min_ratio = submap_options.min_likelihood_ratio;
+  submap_options.max_keyframes = arguments.keyframes;
+  submap_options.min_likelihood_ratio = 1e9;  // nothing is to be learnt from one keyframe for the next
+  submap_options.evidence = arguments.evidence;
+  submap_options.coarse_places = arguments.coarse_places;
+  SubmapRegistrar submap(submap_options, camera);
+  if (uses_submap) submap.set_map({features.positions, features.descriptors.clone()}, geometry);
+  int session = 0;
   for (int seed = 1; seed <= arguments.seeds; ++seed) {
-    CameraParameters parameters;
-    parameters.width = scene.views.front().image.cols;
-    parameters.height = scene.views.front().image.rows;
-    parameters.fx = parameters.fy = 1.3 * parameters.width;
-    parameters.cx = 0.5 * parameters.width;
-    parameters.cy = 0.5 * parameters.height;
-    const CameraModel camera(parameters);
     options.matcher.seed = seed;
     Registrar registrar(options, camera);
-    registrar.set_map(features, geometry);
+    if (!uses_submap) registrar.set_map(features, geometry);
     std::mt19937 random(static_cast<unsigned>(seed));
     std::normal_distribution<double> normal;
-    int near = 0, accepted = 0, false_fixes = 0;
-    std::vector<double> true_inliers, false_inliers, errors;
-    for (const View& view : scene.views) {
+    int tried = 0, near = 0, accepted = 0, false_fixes = 0;
+    std::vector<double> true_inliers, false_inliers, errors, times;
+    for (int i = arguments.first; i < static_cast<int>(scene.views.size()); i += step) {
+      const View& view = scene.views[static_cast<size_t>(i)];
       const double scale_error = 1 + arguments.scale_sigma * normal(random);
       const double heading_error = arguments.heading_sigma_deg * M_PI / 180 * normal(random);
-      const Keyframe keyframe = keyframe_of(view, camera, scene.metres_per_pixel, scale_error, arguments.corners);
-      const Heading heading{view.rotation + heading_error, arguments.heading_sigma_deg * M_PI / 180};
-      const Query query = registrar.describe(keyframe, view.image, heading);
-      const Fix fix = registrar.solve(keyframe, query, registrar.match(query), heading);
+      const double heading_stddev = arguments.heading_sigma_deg * M_PI / 180;
+      const auto keyframe_at = [&](const View& v) {
+        return keyframe_of(v, camera, scene.metres_per_pixel, scale_error, arguments.corners);
+      };
+      const Keyframe keyframe = keyframe_at(view);
+      const Heading heading{view.rotation + heading_error, heading_stddev};
       const Eigen::Vector2d truth(view.centre.x() * scene.metres_per_pixel, -view.centre.y() * scene.metres_per_pixel);
-      // The body stands over the origin of W, and the image's centre lies below it.
-      const double error = (fix.translation - truth).norm();
+      Fix fix;
+      double error = 0;
+      double begin = now_ms();
+      if (uses_submap) {
+        ++session;
+        for (int k = is_arroio ? arguments.keyframes - 1 : 0; k > 0; --k) {
+          // At the video's beginning the frames after it take the place of those before.
+          const int at = i - k * arguments.spacing >= 0 ? i - k * arguments.spacing : i + k * arguments.spacing;
+          const View& other = scene.views[static_cast<size_t>(at)];
+          submap.describe(keyframe_at(other), session, other.image, {other.rotation + heading_error, heading_stddev});
+        }
+        begin = now_ms();
+        submap.describe(keyframe, session, view.image, heading);
+        submap.search(std::nullopt);
+        fix = submap.solve();
+        fix.valid =
+            std::isfinite(fix.scale) &&
+            fix.log_likelihood_ratio >= std::max(min_ratio, submap_options.min_likelihood_share * fix.log_likelihood) &&
+            fix.num_inliers >= submap_options.min_inliers;
+        const double used = heading.value + (std::isfinite(fix.heading_correction) ? fix.heading_correction : 0);
+        error = ((rotation_G_W(keyframe.q_W_B, used) * keyframe.p_W_B).head<2>() + fix.translation - truth).norm();
+      } else {
+        const Query query = registrar.describe(keyframe, view.image, heading);
+        fix = registrar.solve(keyframe, query, registrar.match(query), heading);
+        const Eigen::Vector2d body = (query.R_G_W * keyframe.p_W_B).head<2>();
+        const bool points = options.method == Method::kPaper;
+        error = (fix.translation + (points ? body : Eigen::Vector2d(0, 0)) - truth).norm();
+      }
+      times.push_back(now_ms() - begin);
       const bool is_near = error < 30;
+      ++tried;
       near += is_near ? 1 : 0;
       (is_near ? true_inliers : false_inliers).push_back(fix.num_inliers);
       if (fix.valid) {
         ++accepted;
         false_fixes += is_near ? 0 : 1;
-        if (is_near) errors.push_back(((fix.p_G_B.head<2>()) - truth).norm());
+        if (is_near) errors.push_back((fix.p_G_B.head<2>() - truth).norm());
+      }
+      if (csv != nullptr) {
+        fmt::print(csv, "{},{},{:.1f},{:.1f},{:.1f},{},{},{:.4f},{:.4f},{:.2f},{:.2f}\n", seed, i, error,
+                   fix.log_likelihood, fix.log_likelihood_ratio, fix.num_inliers, fix.num_query, fix.scale, scale_error,
+                   180 / M_PI * fix.heading_correction, 180 / M_PI * heading_error);
       }
     }
     fmt::print(
         "seed {}: within 30 m {:.1f} %, inliers of those (median) {:.0f}, of the others at most {:.0f}, accepted {}, "
-        "false {}, median error {:.2f} m\n",
-        seed, 100.0 * near / static_cast<double>(scene.views.size()), median(true_inliers),
-        quantile(false_inliers, 1.0), accepted, false_fixes, median(errors));
+        "false {}, median error {:.2f} m, {:.1f} ms a keyframe\n",
+        seed, 100.0 * near / tried, median(true_inliers), quantile(false_inliers, 1.0), accepted, false_fixes,
+        median(errors), median(times));
+  }
+  if (csv != nullptr) std::fclose(csv);
+}
+
+// The map's features in the upper-left corner of a square of `count`, the rest its descriptors in disorder.
+MapFeatures plain_around(const MapFeatures& features, double pitch, int64_t count) {
+  const auto side = static_cast<int64_t>(std::ceil(std::sqrt(static_cast<double>(count))));
+  std::vector<int> at(static_cast<size_t>(side * side), -1);
+  for (size_t i = 0; i < features.positions.size(); ++i) {
+    const auto column = static_cast<int64_t>(features.positions[i].x() / pitch);
+    const auto row = static_cast<int64_t>(-features.positions[i].y() / pitch);
+    if (column < side && row < side) at[static_cast<size_t>(row * side + column)] = static_cast<int>(i);
+  }
+  MapFeatures plain;
+  plain.descriptors.create(static_cast<int>(count), kSiftBytes, CV_8U);
+  plain.positions.reserve(static_cast<size_t>(count));
+  std::mt19937 random(1);
+  for (int64_t i = 0; i < count; ++i) {
+    const int here = at[static_cast<size_t>(i)];
+    const int from = here >= 0 ? here : static_cast<int>(random() % features.positions.size());
+    plain.positions.emplace_back(static_cast<float>((0.5 + static_cast<double>(i % side)) * pitch),
+                                 static_cast<float>(-(0.5 + static_cast<double>(i / side)) * pitch), 0.0F);
+    features.descriptors.row(from).copyTo(plain.descriptors.row(static_cast<int>(i)));
+  }
+  return plain;
+}
+
+double peak_memory_gib() {
+  rusage usage{};
+  getrusage(RUSAGE_SELF, &usage);
+  return static_cast<double>(usage.ru_maxrss) / (1 << 20);
+}
+
+void run_growth(const Arguments& arguments) {
+  const Scene scene = arroio(arguments.data / "arroio_do_meio");
+  if (scene.map.empty() || scene.views.empty()) throw std::runtime_error("no data in " + arguments.data.string());
+  const MapGeometry geometry{scene.metres_per_pixel, arguments.size, arguments.stride};
+  const Method method = arguments.method == "paper" ? Method::kPaper : Method::kSubmap;
+  CameraParameters parameters;
+  parameters.width = scene.views.front().image.cols;
+  parameters.height = scene.views.front().image.rows;
+  parameters.fx = parameters.fy = 1.3 * parameters.width;
+  parameters.cx = 0.5 * parameters.width;
+  parameters.cy = 0.5 * parameters.height;
+  const CameraModel camera(parameters);
+  const MapFeatures real = describe_map(scene, geometry, method);
+  for (const int64_t count : arguments.features) {
+    MapFeatures plain = plain_around(real, geometry.keypoint_stride * geometry.metres_per_pixel, count);
+    SubmapOptions submap_options;
+    submap_options.min_likelihood_ratio = 1e9;
+    SubmapRegistrar submap(submap_options, camera);
+    RegistrarOptions options;
+    options.method = method;
+    Registrar registrar(options, camera);
+    double begin = now_ms();
+    if (method == Method::kSubmap) {
+      submap.set_map(std::move(plain), geometry);
+    } else {
+      registrar.set_map(std::move(plain), geometry);
+    }
+    const double load = now_ms() - begin;
+    std::vector<double> times;
+    int found = 0, tried = 0;
+    const double side = std::sqrt(static_cast<double>(count)) * arguments.stride;
+    for (size_t i = 0; i < scene.views.size() && tried < 12; i += 3) {
+      const View& view = scene.views[i];
+      if (view.centre.x() > side - 300 || view.centre.y() > side - 300) continue;
+      const Keyframe keyframe = keyframe_of(view, camera, scene.metres_per_pixel, 1, arguments.corners);
+      const Heading heading{view.rotation, 3 * M_PI / 180};
+      begin = now_ms();
+      Fix fix;
+      if (method == Method::kSubmap) {
+        submap.describe(keyframe, 1, view.image, heading);
+        submap.search(std::nullopt);
+        fix = submap.solve();
+      } else {
+        const Query query = registrar.describe(keyframe, view.image, heading);
+        fix = registrar.solve(keyframe, query, registrar.match(query), heading);
+      }
+      times.push_back(now_ms() - begin);
+      const double used = heading.value + (std::isfinite(fix.heading_correction) ? fix.heading_correction : 0);
+      const Eigen::Vector2d truth(view.centre.x() * scene.metres_per_pixel, -view.centre.y() * scene.metres_per_pixel);
+      const Eigen::Vector2d at =
+          (rotation_G_W(keyframe.q_W_B, used) * keyframe.p_W_B).head<2>() + fix.translation - truth;
+      found += at.norm() < 30 ? 1 : 0;
+      ++tried;
+    }
+    fmt::print("{} {} features: {:.1f} ms a keyframe (median), found {} of {}; ready after {:.1f} s, peak {:.2f} GiB\n",
+               arguments.method, count, median(times), found, tried, 1e-3 * load, peak_memory_gib());
+    std::fflush(stdout);
   }
 }
 
@@ -221,20 +387,31 @@ int main(int argc, char** argv) {
   const char* folder = std::getenv("ORTHONAV_DATA");
   arguments.data = folder != nullptr ? folder : "../shared/data";
   CLI::App app{"Match rates on real image pairs of two dates."};
-  app.add_option("scene", arguments.scene, "arroio | port")->required()->check(CLI::IsMember({"arroio", "port"}));
+  app.add_option("scene", arguments.scene, "arroio | port | growth")
+      ->required()
+      ->check(CLI::IsMember({"arroio", "port", "growth"}));
+  app.add_option("--features", arguments.features, "sizes of the maps of growth")->delimiter(',');
   app.add_option("--data", arguments.data, "folder of the data (default: ORTHONAV_DATA, else ../shared/data)");
-  app.add_option("--method", arguments.method)->check(CLI::IsMember({"paper", "m1", "m2"}));
+  app.add_option("--method", arguments.method)->check(CLI::IsMember({"submap", "paper", "m1", "m2"}));
   app.add_option("--seeds", arguments.seeds);
   app.add_option("--step", arguments.step, "every so many frames");
+  app.add_option("--first", arguments.first, "the first of them");
+  app.add_option("--keyframes", arguments.keyframes, "of a submap");
+  app.add_option("--spacing", arguments.spacing, "frames between keyframes of a submap");
+  app.add_option("--csv", arguments.csv, "one row a keyframe");
   app.add_option("--corners", arguments.corners);
   app.add_option("--size", arguments.size, "keypoint size, map pixels");
   app.add_option("--stride", arguments.stride, "map pixels between interest points");
   app.add_option("--heading-sigma-deg", arguments.heading_sigma_deg);
   app.add_option("--scale-sigma", arguments.scale_sigma);
   app.add_option("--checks", arguments.checks);
+  app.add_option("--evidence-threshold", arguments.evidence.threshold);
+  app.add_option("--evidence-limit", arguments.evidence.limit);
+  app.add_option("--coarse-places", arguments.coarse_places);
   CLI11_PARSE(app, argc, argv);
+  cv::setNumThreads(1);
   try {
-    run(arguments);
+    arguments.scene == "growth" ? run_growth(arguments) : run(arguments);
   } catch (const std::exception& error) {
     fmt::print(stderr, "{}\n", error.what());
     return 1;

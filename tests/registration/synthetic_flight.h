@@ -31,13 +31,14 @@ struct Capture {
   Eigen::Quaterniond q_G_B;
 };
 
-class SyntheticGround {
+template <class Ground>
+class GroundOf {
  public:
   static constexpr double kSigma = 0.3;
   // Corner of the map at the origin of G.
-  explicit SyntheticGround(unsigned seed, int pixels = 600) : texture_(seed), pixels_(pixels) {}
+  explicit GroundOf(unsigned seed, int pixels = 600) : texture_(seed), pixels_(pixels) {}
 
-  const test::Texture& texture() const { return texture_; }
+  const Ground& texture() const { return texture_; }
 
   MapFeatures grid_features(double keypoint_size) const {
     MapFeatures features;
@@ -80,7 +81,7 @@ class SyntheticGround {
     };
     capture.image =
         texture_.picture({camera.width(), camera.height()},
-                         [&](const Eigen::Vector2d& pixel) -> Eigen::Vector2d { return ground(pixel).head<2>(); });
+                         [&](const Eigen::Vector2d& pixel) -> Eigen::Vector2d { return ground(pixel).template head<2>(); });
 
     const Eigen::Matrix3d R_W_G = Eigen::AngleAxisd(0.7, Eigen::Vector3d::UnitZ()).toRotationMatrix();
     const Eigen::Vector3d p_W_G(40, -25, 3);
@@ -119,8 +120,11 @@ class SyntheticGround {
     }
   }
 
-  test::Texture texture_;
+  Ground texture_;
   int pixels_;
 };
+
+using SyntheticGround = GroundOf<test::Texture>;
+using SyntheticFields = GroundOf<test::Patchwork>;
 
 }  // namespace orthonav::registration

@@ -1,0 +1,245 @@
+#include "services/registration/submap.h"
+
+#include <algorithm>
+#include <limits>
+#include <random>
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include "common/features/orientation_field.h"
+#include "services/registration/dot_products.h"
+#include "tests/registration/synthetic_flight.h"
+
+namespace orthonav::registration {
+namespace {
+
+using testing::HasSubstr;
+
+const MapGeometry kMap{SyntheticFields::kSigma, 12, 10};
+
+TEST(DotProducts, AreThoseOfTheDefinitionWhateverTheWidth) {
+  cv::RNG random(3);
+  cv::Mat bytes(200, kSiftBytes, CV_8U);
+  random.fill(bytes, cv::RNG::UNIFORM, 0, 256);
+  for (int i = 0; i + 1 < bytes.rows; ++i) {
+    int64_t expected = 0;
+    for (int k = 0; k < kSiftBytes; ++k) expected += bytes.at<uchar>(i, k) * bytes.at<uchar>(i + 1, k);
+    EXPECT_EQ(dot_product(bytes.ptr(i), bytes.ptr(i + 1)), expected);
+  }
+  for (const int columns : {1, 63, 64, 65, 200}) {
+    cv::Mat row(kCoarseBytes, columns, CV_8U);
+    random.fill(row, cv::RNG::UNIFORM, 0, 46);  // 32 products of at most 45 * 45 fit
+    cv::Mat query(1, kCoarseBytes, CV_8U);
+    random.fill(query, cv::RNG::UNIFORM, 0, 46);
+    const int first = columns / 3;
+    std::vector<uint16_t> products(static_cast<size_t>(columns - first));
+    coarse_products(query.ptr(), row.ptr() + first, static_cast<size_t>(columns), products.size(), products.data());
+    for (int i = first; i < columns; ++i) {
+      int expected = 0;
+      for (int k = 0; k < kCoarseBytes; ++k) expected += query.at<uchar>(0, k) * row.at<uchar>(k, i);
+      EXPECT_EQ(products[static_cast<size_t>(i - first)], expected) << columns;
+    }
+  }
+}
+
+TEST(DotProducts, OfCoarseDescriptorsFitIntoSixteenBits) {
+  // The two extremes: all in one component, and evenly spread.
+  for (const int used : {1, 3, 128}) {
+    std::array<uint8_t, kSiftBytes> descriptor{};
+    for (int i = 0; i < used; ++i) {
+      descriptor[static_cast<size_t>(i)] = static_cast<uint8_t>(std::min(255.0, kRootSiftLength / std::sqrt(used)));
+    }
+    std::array<uint8_t, kCoarseBytes> coarse{};
+    coarsen(descriptor.data(), coarse.data());
+    int squared = 0;
+    for (const uint8_t value : coarse) squared += value * value;
+    EXPECT_LE(squared, 65025);
+    EXPECT_GT(squared, 50000);
+  }
+}
+
+class SubmapTest : public testing::Test {
+ protected:
+  MapFeatures features() const {
+    MapFeatures features = ground_.grid_features(12);
+    std::vector<cv::Point2f> points;
+    for (const Eigen::Vector3f& p : features.positions) {
+      points.emplace_back(p.x() / 0.3F - 0.5F, -p.y() / 0.3F - 0.5F);
+    }
+    features.descriptors = OrientationField(ground_.picture(), {.keypoint_size = 12}).describe(points);
+    return features;
+  }
+  Fix add(SubmapRegistrar& registrar, const Capture& capture, const Heading& heading,
+          const std::optional<PositionPrior>& prior = {}, int session = 1) const {
+    registrar.describe(capture.keyframe, session, capture.image, heading);
+    registrar.search(prior);
+    return registrar.solve();
+  }
+  SyntheticFields ground_{1};
+};
+
+TEST_F(SubmapTest, IndexFindsEveryFeatureByItsPlace) {
+  MapFeatures all = features();
+  // Holes, as water and missing data leave them.
+  MapFeatures some;
+  for (size_t i = 0; i < all.positions.size(); ++i) {
+    if (i % 7 == 3 || i < 200) continue;
+    some.positions.push_back(all.positions[i]);
+    some.descriptors.push_back(all.descriptors.row(static_cast<int>(i)));
+  }
+  const MapFeatures given = some;
+  const MapIndex index(std::move(some), kMap);
+  EXPECT_EQ(index.pitch(), 3.0);
+  int found = 0;
+  for (int row = 0; row < index.rows(); ++row) {
+    for (int column = 0; column < index.columns(); ++column) {
+      const int feature = index.feature(row, column);
+      if (feature < 0) continue;
+      ++found;
+      const Eigen::Vector2d en = given.positions[static_cast<size_t>(feature)].head<2>().cast<double>();
+      EXPECT_LT((index.place(row, column) - en).norm(), 1e-3);
+      EXPECT_LT((index.cell(en) - Eigen::Vector2d(column, row)).norm(), 1e-3);
+    }
+  }
+  EXPECT_EQ(found, index.num_features());
+  EXPECT_EQ(index.feature(-1, 0), -1);
+  EXPECT_EQ(index.feature(0, index.columns()), -1);
+}
+
+TEST_F(SubmapTest, IndexRefusesWhatIsNoGrid) {
+  EXPECT_THROW(MapIndex({}, kMap), std::invalid_argument);
+  EXPECT_THROW(MapIndex(features(), {0.3, 12, 0}), std::invalid_argument);
+  MapFeatures far = features();
+  far.positions.front().x() = 1e8F;
+  EXPECT_THROW(MapIndex(std::move(far), kMap), std::invalid_argument);
+  MapFeatures nan = features();
+  nan.positions.front().x() = NAN;
+  EXPECT_THROW(MapIndex(std::move(nan), kMap), std::invalid_argument);
+  MapFeatures floats = features();
+  floats.descriptors.convertTo(floats.descriptors, CV_32F);
+  EXPECT_THROW(MapIndex(std::move(floats), kMap), std::invalid_argument);
+}
+
+TEST_F(SubmapTest, EstimatesTheErrorsOfCompassAndScaleFromAnUnknownStart) {
+  for (const double heading : {0.3, 2.0, 4.5}) {
+    SubmapRegistrar registrar({}, test_camera());
+    registrar.set_map(features(), kMap);
+    const double heading_error = 0.05, scale_error = 1.03;
+    const Capture capture = ground_.capture({95, -80, 60}, heading, 0.03, -0.04, scale_error);
+    const Fix fix = add(registrar, capture, {heading + heading_error, 0.05});
+    ASSERT_TRUE(fix.valid) << fix.reason;
+    const Eigen::Vector3d error = fix.p_G_B - capture.p_G_B;
+    EXPECT_LT(error.head<2>().norm(), 0.5) << heading;
+    // Few points of a small picture: the errors go down, to what the fix says they may be.
+    EXPECT_LT(std::abs(error.z()), 2.5 * std::sqrt(fix.covariance(2, 2))) << heading;
+    EXPECT_LT(std::sqrt(fix.covariance(2, 2)), 2.0);
+    EXPECT_NEAR(fix.scale, 1 / scale_error, 2.5 * fix.scale_stddev);
+    EXPECT_LT(fix.scale_stddev, 0.025);
+    EXPECT_NEAR(fix.heading_correction, -heading_error, 2.5 * fix.heading_correction_stddev);
+    EXPECT_LT(fix.heading_correction_stddev, 0.035);
+    EXPECT_LT(fix.q_G_B.angularDistance(capture.q_G_B), 0.015);
+    EXPECT_TRUE(std::isinf(fix.search_radius));
+    // What the evaluation takes a fix to imply, too.
+    const Eigen::Matrix3d R_G_W =
+        rotation_G_W(capture.keyframe.q_W_B, heading + heading_error + fix.heading_correction);
+    EXPECT_LT(((R_G_W * capture.keyframe.p_W_B).head<2>() + fix.translation - fix.p_G_B.head<2>()).norm(), 1e-6);
+  }
+}
+
+TEST_F(SubmapTest, FindsTheHeadingWhereNoneIsKnown) {
+  SubmapOptions options;
+  options.search_heading = true;
+  SubmapRegistrar registrar(options, test_camera());
+  registrar.set_map(features(), kMap);
+  const Capture capture = ground_.capture({95, -80, 60}, 1.0, 0.03, -0.04);
+  const Fix fix = add(registrar, capture, {1.0 + 2.5, 0.05});
+  ASSERT_TRUE(fix.valid) << fix.reason;
+  EXPECT_LT((fix.p_G_B - capture.p_G_B).norm(), 1.0);
+  EXPECT_NEAR(fix.heading_correction, -2.5, 0.03);
+}
+
+TEST_F(SubmapTest, TheMoreKeyframesTheSurer) {
+  SubmapRegistrar registrar({}, test_camera());
+  registrar.set_map(features(), kMap);
+  std::vector<double> ratios;
+  for (int i = 0; i < 4; ++i) {
+    const Capture capture = ground_.capture({70.0 + 12 * i, -80, 60}, 1.0, 0.03, -0.04);
+    const Fix fix = add(registrar, capture, capture.heading);
+    EXPECT_EQ(fix.num_keyframes, i + 1);
+    EXPECT_LT((fix.p_G_B - capture.p_G_B).head<2>().norm(), 0.5);
+    ratios.push_back(fix.log_likelihood_ratio);
+  }
+  EXPECT_GT(ratios.back(), 2 * ratios.front());
+  // Another session is another world: nothing of the last one is held against it.
+  const Capture capture = ground_.capture({60, -60, 60}, 2.0, 0.03, -0.04);
+  EXPECT_EQ(add(registrar, capture, capture.heading, {}, 2).num_keyframes, 1);
+}
+
+TEST_F(SubmapTest, SearchesAroundTheExpectedPlaceAndWidensWhenItIsNotThere) {
+  SubmapRegistrar registrar({}, test_camera());
+  registrar.set_map(features(), kMap);
+  const Capture capture = ground_.capture({95, -80, 60}, 1.0, 0.03, -0.04);
+  const Fix near = add(registrar, capture, capture.heading, PositionPrior{{97, -77}, 2});
+  ASSERT_TRUE(near.valid) << near.reason;
+  EXPECT_LT((near.p_G_B - capture.p_G_B).head<2>().norm(), 0.5);
+  EXPECT_EQ(near.search_radius, 15);
+  // The expectation goes astray. Never a fix there, and then one where the aircraft is.
+  SubmapRegistrar lost({}, test_camera());
+  lost.set_map(features(), kMap);
+  int tries = 0;
+  for (; tries < 10; ++tries) {
+    const Fix fix = add(lost, capture, capture.heading, PositionPrior{{55, -120}, 2});
+    if (!fix.valid) continue;
+    EXPECT_LT((fix.p_G_B - capture.p_G_B).head<2>().norm(), 0.5);
+    EXPECT_GT(fix.search_radius, 15);
+    break;
+  }
+  EXPECT_GT(tries, 0);
+  EXPECT_LT(tries, 10);
+}
+
+TEST_F(SubmapTest, IsNotSureOnAnotherGround) {
+  SubmapRegistrar registrar({}, test_camera());
+  registrar.set_map(features(), kMap);
+  for (int i = 0; i < 4; ++i) {
+    const Capture capture = SyntheticFields(77).capture({70.0 + 12 * i, -80, 60}, 1.0, 0.03, -0.04);
+    const Fix fix = add(registrar, capture, capture.heading);
+    EXPECT_FALSE(fix.valid);
+    EXPECT_FALSE(fix.reason.empty());
+  }
+}
+
+TEST_F(SubmapTest, PassesOnWhyAKeyframeWasRefusedAndGoesOn) {
+  SubmapRegistrar registrar({}, test_camera());
+  EXPECT_THROW(registrar.describe({}, 1, {}, {}), std::logic_error);
+  registrar.set_map(features(), kMap);
+  const Capture good = ground_.capture({95, -80, 60}, 1.0, 0.03, -0.04);
+  const auto reason = [&](const Capture& capture, const Heading& heading) {
+    const Fix fix = add(registrar, capture, heading);
+    EXPECT_FALSE(fix.valid);
+    return fix.reason;
+  };
+  EXPECT_THAT(reason(good, {NAN, 0.05}), HasSubstr("heading"));
+  Capture bad = good;
+  bad.keyframe.height_above_ground = -1;
+  EXPECT_THAT(reason(bad, bad.heading), HasSubstr("height"));
+  bad = good;
+  bad.keyframe.p_W_B.x() = NAN;
+  EXPECT_THAT(reason(bad, bad.heading), HasSubstr("pose"));
+  bad = good;
+  for (TrackedPoint& point : bad.keyframe.points) point.p_W.z() = NAN;
+  EXPECT_THAT(reason(bad, bad.heading), HasSubstr("0 usable points"));
+  bad = good;
+  bad.image = cv::Mat(20, 20, CV_8U, cv::Scalar(9));
+  EXPECT_THAT(reason(bad, bad.heading), HasSubstr("20 x 20"));
+  bad = good;
+  bad.image = cv::Mat(good.image.size(), CV_8U, cv::Scalar(100));
+  EXPECT_THAT(reason(bad, bad.heading), HasSubstr("usable points"));
+  const Fix fix = add(registrar, good, good.heading, PositionPrior{{NAN, 0}, 1});
+  EXPECT_TRUE(fix.valid) << fix.reason;
+  EXPECT_TRUE(std::isinf(fix.search_radius));
+}
+
+}  // namespace
+}  // namespace orthonav::registration
