@@ -25,7 +25,7 @@
 namespace orthonav::vio {
 
 struct CalibrationCheckOptions {
-  double max_rotation_deg = 3.0;    // degrees, of a wrong camera-IMU rotation before it is reported
+  double max_rotation_deg = 4.0;    // degrees, of a wrong camera-IMU rotation before it is reported
   double significance = 5.0;        // standard deviations, before anything is
   double max_gravity_error = 0.15;  // of the accelerometer's mean magnitude, relative
 };

@@ -10,7 +10,8 @@
 namespace orthonav::vio {
 namespace {
 
-constexpr size_t kMostPendingImages = 20;  // 2 s without IMU: older ones will never be used
+constexpr size_t kMostPendingImages = 20;     // 2 s without IMU: older ones will never be used
+constexpr int64_t kProvenAfter = 20'000'000;  // microseconds of flight
 
 ImuSample interpolate(const ImuSample& a, const ImuSample& b, int64_t utime) {
   const double s = static_cast<double>(utime - a.utime) / static_cast<double>(b.utime - a.utime);
@@ -187,28 +188,30 @@ std::optional<VioOutput> Vio::next() {
     output.utime = image.utime;
     output.num_tracked = static_cast<int>(features.size());
     auto status = Estimator::Status::kInitialising;
-    if (calibration_.complaint().empty()) {
+    // What has flown well for a while proves its calibration better than the check can disprove it.
+    const bool flying = estimator_.status() != Estimator::Status::kInitialising;
+    const bool proven = flying && now - session_began_ > kProvenAfter;
+    if (calibration_.complaint().empty() || proven) {
       status = estimator_.process(now, features, samples, height_at(now));
       if (status == Estimator::Status::kFailed) restart(estimator_.reason());
       if (estimator_.rescaled()) {
         ++session_;
         ++counters_["rescales"];
       }
-    } else if (estimator_.status() != Estimator::Status::kInitialising) {
+    } else if (flying) {
       restart(calibration_.complaint());
     } else {
       estimator_.reset();  // not flown, not even begun, for as long as this is so
     }
+    if (!flying) session_began_ = now;
     counters_["calibration.wrong"] = calibration_.complaint().empty() ? 0 : 1;
     output.session = session_;
     output.status = estimator_.status();
     output.reason = estimator_.reason();
-    if (output.status == Estimator::Status::kInitialising) {
-      if (!calibration_.complaint().empty()) {
-        output.reason = "calibration: " + calibration_.complaint();
-      } else if (!restart_reason_.empty()) {
-        output.reason = fmt::format("restarted ({}): {}", restart_reason_, estimator_.reason());
-      }
+    if (!calibration_.complaint().empty()) {
+      output.reason = "calibration: " + calibration_.complaint();
+    } else if (output.status == Estimator::Status::kInitialising && !restart_reason_.empty()) {
+      output.reason = fmt::format("restarted ({}): {}", restart_reason_, estimator_.reason());
     }
     output.height_above_ground = estimator_.height_above_ground();
     output.pose_covariance = estimator_.pose_covariance();

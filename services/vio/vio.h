@@ -86,6 +86,7 @@ class Vio {
   Tracker tracker_;
   Estimator estimator_;
   CalibrationCheck calibration_;
+  int64_t session_began_ = 0;
   std::deque<Altitude> altitudes_;
   std::vector<TrackedFeature> delayed_;
   std::deque<ImuSample> imu_;

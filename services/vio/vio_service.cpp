@@ -178,7 +178,11 @@ void VioService::update_health(const VioOutput& output) {
       health.set_state(Health::State::kStarting, "initialising: " + output.reason);
       break;
     case Status::kTracking:
-      health.set_state(Health::State::kOk);
+      if (output.reason.empty()) {
+        health.set_state(Health::State::kOk);
+      } else {
+        health.set_state(Health::State::kDegraded, output.reason);
+      }
       break;
     case Status::kDegraded:
     case Status::kFailed:
