@@ -108,7 +108,8 @@ void Estimator::optimise(int iterations, double tolerance) {
   problem.AddParameterBlock(time_offset, 1);
   ordering->AddElementToGroup(camera, ++group);
   ordering->AddElementToGroup(time_offset, ++group);
-  if (!shared_.camera_free) problem.SetParameterBlockConstant(camera);
+  // The few frames of a start would turn the camera by degrees to explain a scale that is not settled yet.
+  if (!shared_.camera_free || frames_.front()->at_start) problem.SetParameterBlockConstant(camera);
   if (!shared_.time_free) problem.SetParameterBlockConstant(time_offset);
   if (shared_.height_free) {
     problem.AddParameterBlock(height_bias, 1);
