@@ -55,11 +55,11 @@ function(orthonav_executable name)
   endif()
 endfunction()
 
-# orthonav_test(name SOURCES a.cpp ... LINKS lib ... [LABELS ...] [TIMEOUT s] [FIXTURE f] [OWN_BUS] [ALONE]):
-# a GoogleTest program. Each of its tests is a ctest test of its own; with OWN_BUS, on an LCM bus of its own
-# (deploy/own-bus); with FIXTURE, after the ctest fixture f; with ALONE, while no other test runs (real time).
+# orthonav_test(name SOURCES a.cpp ... LINKS lib ... [LABELS ...] [TIMEOUT s] [FIXTURE f] [OWN_BUS] [LOSSY_BUS]
+# [ALONE]): a GoogleTest program. Each of its tests is a ctest test of its own; with OWN_BUS, on an LCM bus of its own
+# (deploy/own-bus), with LOSSY_BUS on one that loses packets (tests/support/lossy-bus); with FIXTURE, after the ctest fixture f; with ALONE, while no other test runs (real time).
 function(orthonav_test name)
-  cmake_parse_arguments(ARG "OWN_BUS;ALONE" "TIMEOUT;FIXTURE" "SOURCES;LINKS;LABELS" ${ARGN})
+  cmake_parse_arguments(ARG "OWN_BUS;LOSSY_BUS;ALONE" "TIMEOUT;FIXTURE" "SOURCES;LINKS;LABELS" ${ARGN})
   if(NOT ARG_TIMEOUT)
     set(ARG_TIMEOUT 120)
   endif()
@@ -69,6 +69,9 @@ function(orthonav_test name)
   set_target_properties(${name} PROPERTIES RUNTIME_OUTPUT_DIRECTORY ${CMAKE_BINARY_DIR}/tests)
   if(ARG_OWN_BUS)
     set_target_properties(${name} PROPERTIES CROSSCOMPILING_EMULATOR ${CMAKE_SOURCE_DIR}/deploy/own-bus)
+  endif()
+  if(ARG_LOSSY_BUS)
+    set_target_properties(${name} PROPERTIES CROSSCOMPILING_EMULATOR ${CMAKE_SOURCE_DIR}/tests/support/lossy-bus)
   endif()
   include(GoogleTest)
   target_compile_definitions(${name} PRIVATE

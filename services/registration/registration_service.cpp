@@ -13,8 +13,8 @@
 #include "common/camera/aircraft.h"
 #include "common/camera/image_decode.h"
 #include "common/math/so3.h"
-#include "orthonav/map_tile_request_t.hpp"
 #include "services/registration/keyframe_message.h"
+#include "services/registration/map_message.h"
 
 namespace orthonav::registration {
 namespace {
@@ -26,18 +26,6 @@ constexpr size_t kMaxPending = 16;
 constexpr size_t kNavStates = 100;
 constexpr double kMaxNavAge = 5;
 constexpr double kNavSpeedStddev = 2;  // m/s by which a position gets worse until the keyframe's time
-
-MapLevel level_of(const map_info_t& info) {
-  MapLevel level;
-  level.map_fingerprint = info.map_fingerprint;
-  level.level = info.level;
-  level.num_levels = info.num_levels;
-  level.anchor = {info.anchor_latitude_deg, info.anchor_longitude_deg, info.anchor_height};
-  level.geometry = {info.metres_per_pixel, info.keypoint_size, info.keypoint_stride};
-  level.layout = {info.fingerprint, info.tile_columns, info.tile_rows, info.num_features,
-                  info.tile_size,   info.east_min,     info.north_min};
-  return level;
-}
 
 }  // namespace
 
@@ -189,18 +177,9 @@ void RegistrationService::clear_map() {
 }
 
 void RegistrationService::request_tiles() {
-  const MapLevel* level = map_client_.level();
-  if (level == nullptr) return;
-  map_tile_request_t request;
-  request.utime = node_.now();
-  request.client = "registration";
-  request.fingerprint = level->layout.fingerprint;
-  for (const TileRequest& wanted : map_client_.requests(request.utime)) {
-    request.tile.push_back(wanted.tile);
-    request.part.push_back(wanted.part);
+  if (const auto request = next_request(map_client_, "registration", node_.now())) {
+    node_.publish(channel::kMapTileRequest, *request);
   }
-  request.num_tiles = static_cast<int32_t>(request.tile.size());
-  if (request.num_tiles > 0) node_.publish(channel::kMapTileRequest, request);
   const TileStore& store = map_client_.store();
   Health& health = node_.health();
   health.set("map.tiles_asked_again", static_cast<double>(store.num_asked_again()));
@@ -217,13 +196,7 @@ void RegistrationService::handle(const map_tile_t& tile) {
     node_.health().add("map.parts_of_another_map");
     return;
   }
-  TilePart part{tile.tile, tile.part, tile.num_parts, {}, {}};
-  std::vector<float> positions;
-  positions.reserve(3 * tile.position.size());
-  for (const auto& position : tile.position) positions.insert(positions.end(), position.begin(), position.end());
-  part.positions = positions;
-  part.descriptors = {tile.descriptors.data(), tile.descriptors.size()};
-  switch (map_client_.add(part, node_.now())) {
+  switch (add_tile(map_client_, tile, node_.now())) {
     case TileStore::Outcome::kAccepted:
       node_.health().add("map.parts_received");
       break;

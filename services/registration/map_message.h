@@ -1,0 +1,23 @@
+// Between the map's messages and the map client.
+#pragma once
+
+#include <cstdint>
+#include <optional>
+#include <string>
+
+#include "orthonav/map_info_t.hpp"
+#include "orthonav/map_tile_request_t.hpp"
+#include "orthonav/map_tile_t.hpp"
+#include "services/registration/map_client.h"
+
+namespace orthonav::registration {
+
+// Says nothing of whether the level is of use: MapLayout::problem does.
+MapLevel level_of(const map_info_t& info);
+
+TileStore::Outcome add_tile(MapClient& client, const map_tile_t& tile, int64_t utime);
+
+// What the client wants asked for now; nothing when it waits or has all.
+std::optional<map_tile_request_t> next_request(MapClient& client, const std::string& name, int64_t utime);
+
+}  // namespace orthonav::registration
