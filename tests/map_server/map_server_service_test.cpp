@@ -91,7 +91,7 @@ TEST_F(MapServerOnTheBus, SaysEachSecondWhatMapThereIs) {
   const map_info_t& info = infos_.messages.front();
   EXPECT_EQ(info.level, 0);
   EXPECT_EQ(info.num_levels, 2);
-  EXPECT_EQ(info.features, "grid");
+  EXPECT_EQ(info.features, "rootsift");
   EXPECT_EQ(info.fingerprint, "feedfeedfeedfeed");
   EXPECT_EQ(info.map_name, "map.onmap");
   EXPECT_EQ(info.num_features, 25);

@@ -19,7 +19,7 @@ namespace {
 
 using testing::HasSubstr;
 
-constexpr int kSide = 240;
+constexpr int kSide = 400;
 
 struct Kind {
   GDALDataType type = GDT_Byte;
@@ -151,7 +151,7 @@ TEST_F(RasterKinds, TransparentAndNodataPartsAreLeftOut) {
     const MapDescription map = build(kind);
     EXPECT_GT(map.num_without_data, 200);
     EXPECT_GT(map.num_features, 200);
-    for (const Eigen::Vector3f& p : database_->all_tiles(0).positions) EXPECT_LT(p.x(), 36.0F);
+    for (const Eigen::Vector3f& p : database_->all_tiles(0).positions) EXPECT_LT(p.x(), 0.15F * kSide);
   };
   Kind kind;
   kind.bands = 2;
