@@ -9,12 +9,25 @@
 #include <thread>
 
 #include <fmt/format.h>
+#include <opencv2/core/utility.hpp>
 #include <spdlog/spdlog.h>
 
 #include "common/geo/raster.h"
 
 namespace orthonav::map_server {
 namespace {
+
+// Keeps OpenCV to the calling thread while it lives.
+class OneThread {
+ public:
+  OneThread() : before_(cv::getNumThreads()) { cv::setNumThreads(1); }
+  ~OneThread() { cv::setNumThreads(before_); }
+  OneThread(const OneThread&) = delete;
+  OneThread& operator=(const OneThread&) = delete;
+
+ private:
+  int before_;
+};
 
 void add_file(Checksum& checksum, const std::filesystem::path& file) {
   std::ifstream in(file, std::ios::binary);
@@ -72,6 +85,8 @@ std::string build_fingerprint(const std::filesystem::path& raster, const BuildOp
 std::vector<MapDescription> build_map(const std::filesystem::path& raster, const BuildOptions& options,
                                       const std::filesystem::path& out,
                                       const std::function<void(const BuildProgress&)>& progress) {
+  // Each core works on a block of its own: OpenCV's threads would only wait for each other.
+  const OneThread opencv;
   std::vector<std::unique_ptr<BlockBuilder>> builders;
   for (unsigned i = 0; i < std::max(1U, std::thread::hardware_concurrency()); ++i) {
     builders.push_back(std::make_unique<BlockBuilder>(raster, options));
