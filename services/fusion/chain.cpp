@@ -21,10 +21,17 @@ Quadratic eliminate_second(const PairQuadratic& pair, const Quadratic& on_j) {
   return eliminate_first(on_j, mirrored).left;
 }
 
-void Chain::clear() {
-  own_.clear();
-  tie_.clear();
-  forward_.clear();
+void Chain::truncate(int size) {
+  const auto left = static_cast<size_t>(size);
+  own_.resize(left);
+  tie_.resize(left);
+  forward_.resize(left);
+}
+
+Quadratic Chain::newest() const {
+  Quadratic sum = own_.back();
+  sum += forward_.back().left;
+  return sum;
 }
 
 void Chain::append(const Quadratic& own, const PairQuadratic& tie) {
@@ -63,9 +70,8 @@ StateMatrix Chain::information(int index) const {
 std::vector<StateVector> Chain::solve() const {
   std::vector<StateVector> change(own_.size());
   if (own_.empty()) return change;
-  Quadratic newest = own_.back();
-  newest += forward_.back().left;
-  change.back() = -newest.H.llt().solve(newest.b);
+  const Quadratic last = newest();
+  change.back() = -last.H.llt().solve(last.b);
   for (size_t k = own_.size() - 1; k-- > 0;) {
     change[k] = -forward_[k + 1].offset - forward_[k + 1].gain * change[k + 1];
   }

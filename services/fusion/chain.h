@@ -47,12 +47,12 @@ Quadratic eliminate_second(const PairQuadratic& pair, const Quadratic& on_j);
 
 class Chain {
  public:
-  // Forgets everything.
-  void clear();
+  // Forgets the newest nodes, so that `size` are left.
+  void truncate(int size);
   // Appends a node with its own terms and, from the second node on, the terms that tie it to the one before.
   void append(const Quadratic& own, const PairQuadratic& tie = {});
-  // Adds terms to the newest node.
-  void add_to_newest(const Quadratic& terms) { own_.back() += terms; }
+  // All that is known about the newest node.
+  Quadratic newest() const;
 
   // Forgets the oldest node; what it knew stays as terms of the next one's own.
   void drop_oldest();

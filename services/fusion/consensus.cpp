@@ -27,7 +27,7 @@ double disagreement(const Sighting& a, const Sighting& b, const FusionOptions& o
   Eigen::Vector3d shared(options.fix.shared_horizontal_stddev, options.fix.shared_horizontal_stddev,
                          options.fix.shared_vertical_stddev);
   shared = forgotten * shared.cwiseAbs2();
-  const double scale_stddev = options.edge.scale_stddev;
+  const double scale_stddev = std::max(a.scale_stddev, b.scale_stddev);
   Eigen::Matrix3d covariance = a.covariance + b.covariance + yaw_stddev * yaw_stddev * sideways * sideways.transpose() +
                                scale_stddev * scale_stddev * moved * moved.transpose();
   covariance.diagonal() += shared;

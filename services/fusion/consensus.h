@@ -23,6 +23,7 @@ struct Sighting {
   Eigen::Matrix3d covariance = Eigen::Matrix3d::Identity();  // of what it does not share with its neighbours
   double yaw_G_W = 0.0;                                      // rad, from the fix's heading
   double yaw_stddev = 0.0;                                   // rad
+  double scale_stddev = 0.0;                                 // of the odometry's scale there, as a fraction
 };
 
 // Square of the Mahalanobis distance between the motion of the fixes and that of the odometry, from a to b.

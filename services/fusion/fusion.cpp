@@ -61,6 +61,7 @@ void Fusion::start_segment(int session) {
   believed_ = 0;
   confirmed_span_ = 0.0;
   num_fixes_ = 0;
+  session_utime_ = 0;
   last_state_.reset();
   bridge_.reset();
   // The inertial sensor may still carry the position; what is given out does not jump then.
@@ -101,10 +102,11 @@ Outcome Fusion::add_keyframe(const Keyframe& keyframe) {
   if (!clean.relative_covariance.allFinite() || llt.info() != Eigen::Success) {
     clean.relative_covariance.setConstant(kUnknown);
   }
+  if (session_utime_ == 0) session_utime_ = clean.utime;
   waypoints_.emplace_hint(waypoints_.end(), clean.id, waypoint);
   if (graph_) {
     append(waypoint);
-    graph_->solve();
+    graph_->settle_newest();
     update_newest();
   } else {
     try_bridge();
@@ -139,6 +141,14 @@ std::optional<CompassReading> Fusion::compass_near(int64_t utime) const {
     best = *candidate;
   }
   return best;
+}
+
+// A session's scale is settled when the odometry has seen some acceleration.
+double Fusion::scale_stddev_at(const Keyframe& keyframe) const {
+  const EdgeOptions& edge = options_.edge;
+  const double age = std::max(0.0, seconds_between(session_utime_, keyframe.utime));
+  const double left = std::exp(-age / edge.scale_time);
+  return std::hypot(edge.scale_stddev, left * edge.start_scale_stddev);
 }
 
 double Fusion::compass_noise(const CompassReading& reading) const {

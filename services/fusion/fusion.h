@@ -79,6 +79,7 @@ class Fusion {
   std::optional<CompassReading> compass_near(int64_t utime) const;
   double compass_noise(const CompassReading& reading) const;
   void append(const Waypoint& waypoint);
+  double scale_stddev_at(const Keyframe& keyframe) const;
   std::optional<Sighting> sight(const Fix& fix, Outcome& refused) const;
   bool try_lock();
   bool try_relock();
@@ -100,6 +101,7 @@ class Fusion {
   int moves_ = 0;
   bool has_output_ = false;  // a pose has been given out
   int compass_rejected_ = 0;
+  int64_t session_utime_ = 0;  // of the session's first keyframe
   std::optional<OdometryState> last_state_;
   std::deque<CompassReading> compass_;  // headings: true
   Inertial inertial_;

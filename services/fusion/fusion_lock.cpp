@@ -61,6 +61,7 @@ std::optional<Sighting> Fusion::sight(const Fix& fix, Outcome& refused) const {
   sighting.keyframe = keyframe;
   sighting.fix = fix;
   sighting.covariance = *covariance;
+  sighting.scale_stddev = scale_stddev_at(keyframe);
   sighting.yaw_G_W = wrap_angle(yaw_from_heading(fix.heading) - yaw_from_heading(heading_of(keyframe.q_W_B)));
   const double stddev = fix.heading_stddev > 0.0 ? fix.heading_stddev : options_.compass.fix_stddev;
   sighting.yaw_stddev = fix.heading_fitted ? stddev : std::max(stddev, options_.compass.bias_stddev);
@@ -156,10 +157,11 @@ void Fusion::lock(const std::vector<Sighting>& members) {
   guess.x(kYaw) = placement.yaw_G_W;
   StateVector stddev;
   const EdgeOptions& edge = options_.edge;
+  const double scale_stddev = scale_stddev_at(next->second.keyframe);
   const FixOptions& fix = options_.fix;
   // The fixes' heading is the compass's, which has its own term in the graph.
   const double yaw_stddev = next->second.compass ? kAnyHeading : members.back().yaw_stddev;
-  stddev << kAnywhere, kAnywhere, kAnywhere, yaw_stddev, edge.tilt_stddev, edge.tilt_stddev, edge.scale_stddev,
+  stddev << kAnywhere, kAnywhere, kAnywhere, yaw_stddev, edge.tilt_stddev, edge.tilt_stddev, scale_stddev,
       options_.compass.bias_stddev, fix.shared_horizontal_stddev, fix.shared_horizontal_stddev,
       fix.shared_vertical_stddev;
   graph_ = std::make_unique<PoseGraph>(options_);
@@ -207,10 +209,12 @@ void Fusion::use(const Sighting& sighting) {
   // So that neighbours that look at the same points do not count as if each looked at its own.
   const double shared = std::sqrt(static_cast<double>(std::max(1, fix.num_keyframes)));
   if (fix.heading_fitted && fix.heading_stddev > 0.0) {
-    graph_->add_map_heading(id, fix.heading, shared * fix.heading_stddev);
+    const double stddev = std::hypot(fix.heading_stddev, options_.fix.heading_stddev_floor);
+    graph_->add_map_heading(id, fix.heading, shared * stddev);
   }
   if (fix.scale > 0.1 && fix.scale < 10.0 && fix.scale_stddev > 0.0) {
-    graph_->add_scale(id, std::log(fix.scale), shared * fix.scale_stddev / fix.scale);
+    const double stddev = std::hypot(fix.scale_stddev / fix.scale, options_.fix.scale_stddev_floor);
+    graph_->add_scale(id, std::log(fix.scale), shared * stddev);
   }
   if (believed_ == 0) confirmed_from_ = sighting.keyframe.p_W_B;
   confirmed_span_ = std::max(confirmed_span_, (sighting.keyframe.p_W_B - confirmed_from_).norm());

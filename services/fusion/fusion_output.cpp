@@ -84,6 +84,9 @@ void Fusion::judge(Solution& solution, bool odometry, bool blind) {
   evidence.blind = blind;
   evidence.contradicted = rival_fixes_ >= options_.gate.relock_fixes && rival_utime_ > newest_fix_utime_;
   evidence.level = solution.horizontal_protection_level;
+  if (is_located && std::isnan(evidence.level)) {
+    evidence.level = kHorizontalQuantile * horizontal_stddev(solution.covariance.topLeftCorner<3, 3>());
+  }
   evidence.time_since_fix = solution.time_since_fix;
   evidence.moves = moves_;
   solution.mode = modes_.update(evidence);
@@ -211,9 +214,9 @@ void Fusion::try_bridge() {
   const Eigen::Vector3d back = guess.q_G_W() * (first.p_W_B - bridge_p_W_B_);
   guess.x.segment<3>(kPosition) += back;
   StateVector stddev = bridge_->covariance.diagonal().cwiseSqrt();
-  stddev.segment<3>(kPosition).array() += edge.scale_stddev * back.norm();
+  stddev.segment<3>(kPosition).array() += scale_stddev_at(first) * back.norm();
   stddev.segment<2>(kTilt).setConstant(edge.tilt_stddev);
-  stddev(kScale) = edge.scale_stddev;
+  stddev(kScale) = scale_stddev_at(first);
   stddev.tail<3>() << fix.shared_horizontal_stddev, fix.shared_horizontal_stddev, fix.shared_vertical_stddev;
   guess.x.tail<3>().setZero();
   graph_ = std::make_unique<PoseGraph>(options_);

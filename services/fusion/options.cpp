@@ -24,6 +24,7 @@ void read_edge(ConfigNode node, EdgeOptions& edge) {
   read_deg(node, "tilt_stddev_deg", edge.tilt_stddev, 20.0);
   node.read("tilt_time", edge.tilt_time, 0.1, 1e6);
   node.read("scale_stddev", edge.scale_stddev, 1e-5, 1.0);
+  node.read("start_scale_stddev", edge.start_scale_stddev, 1e-5, 1.0);
   node.read("scale_time", edge.scale_time, 0.1, 1e6);
   node.read("velocity_stddev", edge.velocity_stddev, 0.0, 100.0);
   node.finish();
@@ -34,6 +35,8 @@ void read_fix(ConfigNode node, FixOptions& fix) {
   node.read("shared_vertical_stddev", fix.shared_vertical_stddev, 1e-3, 1000.0);
   node.read("shared_distance", fix.shared_distance, 0.1, 1e6);
   node.read("stddev_floor", fix.stddev_floor, 1e-3, 1000.0);
+  read_deg(node, "heading_stddev_floor_deg", fix.heading_stddev_floor, 180.0);
+  node.read("scale_stddev_floor", fix.scale_stddev_floor, 0.0, 1.0);
   node.read("default_stddev", fix.default_stddev, 1e-3, 1000.0);
   node.read("huber", fix.huber, 0.1, 1000.0);
   node.finish();

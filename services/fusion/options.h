@@ -14,6 +14,7 @@ struct EdgeOptions {
   double tilt_stddev = 0.005;           // rad, of W's "up"
   double tilt_time = 60.0;              // s, over which the tilt forgets
   double scale_stddev = 0.02;           // of the odometry's scale, as a fraction
+  double start_scale_stddev = 0.1;      // the same at the start of a session, when it is not settled yet
   double scale_time = 120.0;            // s, over which it forgets
   double velocity_stddev = 3.2e-4;      // 1/s, of the odometry's velocity per axis, over the height above ground
 };
@@ -24,8 +25,11 @@ struct FixOptions {
   double shared_vertical_stddev = 2.0;    // m
   double shared_distance = 40.0;          // m of way over which it is forgotten
   double stddev_floor = 0.5;              // m per axis, added to what a fix says of itself
-  double default_stddev = 5.0;            // m per axis where the fix carries no covariance
-  double huber = 1.5;                     // standard deviations from which a fix counts linearly, equation (15)
+  double heading_stddev_floor =
+      0.05;                          // rad, added to a fitted heading's own: neighbours err alike, towards the compass
+  double scale_stddev_floor = 0.01;  // added to a fitted scale's own
+  double default_stddev = 5.0;       // m per axis where the fix carries no covariance
+  double huber = 1.5;                // standard deviations from which a fix counts linearly, equation (15)
 };
 
 // How well the compass is known, and headings of fixes that come from it.

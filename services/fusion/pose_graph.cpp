@@ -76,7 +76,7 @@ void PoseGraph::start(const Keyframe& keyframe, const NodeState& guess, const St
   node.prior.emplace();
   node.prior->point = guess;
   node.prior->cost.H = stddev.cwiseAbs2().cwiseInverse().asDiagonal();
-  chain_.append(own(node));
+  relinearise_from(0);
 }
 
 void PoseGraph::append(const Keyframe& keyframe) {
@@ -90,41 +90,52 @@ void PoseGraph::append(const Keyframe& keyframe) {
   node.tie = transition_between(options_, before.keyframe, keyframe, before.state.q_G_W());
   node.state = predict(*node.tie, before.state);
   nodes_.push_back(std::move(node));
-  chain_.append(own(nodes_.back()), tie(nodes_.size() - 1));
+  relinearise_from(std::min(stale_from_, nodes_.size() - 1));
 }
 
 void PoseGraph::add_position(int id, const Eigen::Vector3d& p_G_B, const Eigen::Matrix3d& covariance) {
-  at(id).positions.push_back({p_G_B, sqrt_information(covariance)});
+  measured(id).positions.push_back({p_G_B, sqrt_information(covariance)});
 }
 
 void PoseGraph::add_map_heading(int id, double heading, double stddev) {
-  Node& node = at(id);
+  Node& node = measured(id);
   node.map_headings.push_back({heading, stddev, false, node.keyframe.q_W_B * Eigen::Vector3d::UnitX()});
 }
 
 void PoseGraph::add_scale(int id, double log_scale, double stddev) {
-  at(id).scales.push_back({log_scale, stddev});
+  measured(id).scales.push_back({log_scale, stddev});
 }
 
 void PoseGraph::add_compass(int id, double heading, double stddev) {
-  Node& node = at(id);
+  Node& node = measured(id);
   node.headings.push_back({heading, stddev, true, node.keyframe.q_W_B * Eigen::Vector3d::UnitX()});
-  if (&node == &nodes_.back())
-    chain_.add_to_newest(linearise(node.headings.back(), node.state, options_.compass.huber));
+}
+
+PoseGraph::Node& PoseGraph::measured(int id) {
+  const size_t index = index_of(id);
+  stale_from_ = std::min(stale_from_, index);
+  return nodes_[index];
 }
 
 void PoseGraph::solve() {
   for (int iteration = 0; iteration < options_.max_iterations; ++iteration) {
-    relinearise();
+    relinearise_from(stale_from_);
     const std::vector<StateVector> change = chain_.solve();
     for (size_t k = 0; k < nodes_.size(); ++k) nodes_[k].state.x += change[k];
-    const StateVector newest_stddev = inverse(chain_.information(size() - 1)).diagonal().cwiseSqrt();
+    const StateVector newest_stddev = inverse(chain_.newest().H).diagonal().cwiseSqrt();
+    stale_from_ = 0;
     if (change.back().cwiseQuotient(newest_stddev).cwiseAbs().maxCoeff() < kConverged) break;
   }
-  relinearise();
-  if (options_.window_keyframes > 0) {
-    while (size() > options_.window_keyframes) marginalise_oldest();
-  }
+  relinearise_from(0);
+  marginalise_beyond_window();
+}
+
+void PoseGraph::settle_newest() {
+  relinearise_from(stale_from_);
+  const Quadratic newest = chain_.newest();
+  nodes_.back().state.x -= newest.H.llt().solve(newest.b);
+  relinearise_from(nodes_.size() - 1);
+  marginalise_beyond_window();
 }
 
 bool PoseGraph::contains(int id) const {
@@ -183,18 +194,23 @@ PairQuadratic PoseGraph::tie(size_t index) const {
   return linearise(*nodes_[index].tie, nodes_[index - 1].state, nodes_[index].state);
 }
 
-void PoseGraph::relinearise() {
-  chain_.clear();
-  chain_.append(own(nodes_.front()));
-  for (size_t k = 1; k < nodes_.size(); ++k) chain_.append(own(nodes_[k]), tie(k));
+void PoseGraph::relinearise_from(size_t index) {
+  chain_.truncate(static_cast<int>(index));
+  for (size_t k = index; k < nodes_.size(); ++k) {
+    chain_.append(own(nodes_[k]), k == 0 ? PairQuadratic() : tie(k));
+  }
+  stale_from_ = nodes_.size();
 }
 
-void PoseGraph::marginalise_oldest() {
-  Node& heir = nodes_[1];
-  heir.prior = Prior{heir.state, chain_.forward(1)};
-  heir.tie.reset();
-  nodes_.pop_front();
-  chain_.drop_oldest();
+void PoseGraph::marginalise_beyond_window() {
+  while (options_.window_keyframes > 0 && size() > options_.window_keyframes) {
+    Node& heir = nodes_[1];
+    heir.prior = Prior{heir.state, chain_.forward(1)};
+    heir.tie.reset();
+    nodes_.pop_front();
+    chain_.drop_oldest();
+    --stale_from_;
+  }
 }
 
 }  // namespace orthonav::fusion

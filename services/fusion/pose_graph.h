@@ -54,8 +54,11 @@ class PoseGraph {
   void add_scale(int id, double log_scale, double stddev);
   void add_compass(int id, double heading, double stddev);
 
-  // Optimises from the current state, then gives nodes beyond the window up to the prior.
+  // Optimises all nodes from the current state, then gives those beyond the window up to the prior.
   void solve();
+  // Optimises the newest node alone: what a compass reading does to it, at a cost that does not depend on the window.
+  // The others learn of it in the next solve().
+  void settle_newest();
 
   bool contains(int id) const;
   const Keyframe& keyframe(int id) const { return at(id).keyframe; }
@@ -83,16 +86,17 @@ class PoseGraph {
 
   size_t index_of(int id) const;
   const Node& at(int id) const { return nodes_[index_of(id)]; }
-  Node& at(int id) { return nodes_[index_of(id)]; }
+  Node& measured(int id);  // at which something is about to be added
   Quadratic own_without_fixes(const Node& node) const;
   Quadratic own(const Node& node) const;
   PairQuadratic tie(size_t index) const;
-  void relinearise();
-  void marginalise_oldest();
+  void relinearise_from(size_t index);
+  void marginalise_beyond_window();
 
   FusionOptions options_;
   std::deque<Node> nodes_;
-  Chain chain_;  // linearised at the nodes' states
+  Chain chain_;            // linearised at the nodes' states, up to
+  size_t stale_from_ = 0;  // the first node that was measured since
 };
 
 }  // namespace orthonav::fusion

@@ -128,7 +128,7 @@ TEST(PoseGraph, WindowGivesTheSameAsTheWholeTrajectory) {
 TEST(PoseGraph, NoiseFreeOdometryAndFixesGiveTheTruthAndTheScale) {
   SyntheticOptions options = clean();
   options.position_noise = options.heading_walk = options.scale_walk = 0.0;
-  options.fix_shared_stddev = 0.0;
+  options.fix_shared_stddev = options.fix_shared_vertical_stddev = 0.0;
   options.fix_stddev = options.fix_vertical_stddev = 1e-6;
   SyntheticFlight flight = make_flight(options, 5);
   for (Fix& fix : flight.fixes) fix.covariance = Eigen::Matrix3d::Identity();

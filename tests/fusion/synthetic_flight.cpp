@@ -67,12 +67,13 @@ SyntheticFlight make_flight(const SyntheticOptions& options, uint64_t seed) {
   double heading_error = 0.0;
   double log_scale = dice.normal(options.scale_stddev);  // odometry = truth * exp(-log_scale)
   const double heading_bias = dice.normal(options.heading_bias_stddev);
+  Eigen::Vector3d tilt = noise.normal3(options.tilt_stddev, 0.0);
   const Eigen::Vector3d gyro_bias = noise.normal3(0.01, 0.01);
   const Eigen::Vector3d accel_bias = noise.normal3(0.05, 0.05);
   const Eigen::Vector3d accel_bias_error = noise.normal3(0.02, 0.02);
   Eigen::Vector3d p_G_B(150.0, -300.0, options.height);
   Eigen::Vector3d p_W_B = dice.normal3(5.0, 5.0);
-  Eigen::Vector3d shared = dice.normal3(options.fix_shared_stddev, options.fix_shared_stddev);
+  Eigen::Vector3d shared = dice.normal3(options.fix_shared_stddev, options.fix_shared_vertical_stddev);
   int run_left = options.wrong_at_start;
   auto far = [&] {
     const double angle = 2.0 * std::numbers::pi * dice.uniform();
@@ -91,7 +92,8 @@ SyntheticFlight make_flight(const SyntheticOptions& options, uint64_t seed) {
     const double t = kStep * static_cast<double>(k);
     const Eigen::Vector3d velocity = path.velocity(t);
     const Eigen::Quaterniond q_G_B = path.attitude(t);
-    const Eigen::Quaterniond q_W_G(Eigen::AngleAxisd(yaw_W_G + heading_error, Eigen::Vector3d::UnitZ()));
+    const Eigen::Quaterniond q_W_G =
+        so3_exp(tilt) * Eigen::AngleAxisd(yaw_W_G + heading_error, Eigen::Vector3d::UnitZ());
     if (k > 0) {
       const Eigen::Vector3d moved = 0.5 * kStep * (velocity + path.velocity(t - kStep));
       p_G_B += moved;
@@ -145,9 +147,9 @@ SyntheticFlight make_flight(const SyntheticOptions& options, uint64_t seed) {
       flight.steps.push_back({SyntheticFlight::Step::Kind::kKeyframe, index});
       flight.keyframes.push_back(keyframe);
 
-      const double keep = std::exp(-options.keyframe_interval / 15.0);
+      const double keep = std::exp(-options.speed * options.keyframe_interval / options.fix_shared_distance);
       const double renew = std::sqrt(1.0 - keep * keep);
-      shared = keep * shared + renew * dice.normal3(options.fix_shared_stddev, options.fix_shared_stddev);
+      shared = keep * shared + renew * dice.normal3(options.fix_shared_stddev, options.fix_shared_vertical_stddev);
       if (dice.uniform() < options.fix_rate) {
         if (run_left == 0 && dice.uniform() < options.wrong_run_rate) {
           run_left = 1 + static_cast<int>(-options.wrong_run_length * std::log(1.0 - dice.uniform()));
@@ -179,8 +181,13 @@ SyntheticFlight make_flight(const SyntheticOptions& options, uint64_t seed) {
         waiting.erase(waiting.begin());
       }
     }
+    // Tilt and scale wander about zero.
+    const double keep_tilt = std::exp(-kStep / 60.0);
+    tilt = keep_tilt * tilt + noise.normal3(options.tilt_stddev, 0.0) * std::sqrt(1.0 - keep_tilt * keep_tilt);
     heading_error += dice.normal(options.heading_walk * std::sqrt(kStep));
-    log_scale += dice.normal(options.scale_walk * std::sqrt(kStep));
+    const double keep_scale = std::exp(-kStep / options.scale_time);
+    log_scale = keep_scale * log_scale + dice.normal(options.scale_walk * std::sqrt(kStep)) +
+                noise.normal(options.scale_stddev * std::sqrt(1.0 - keep_scale * keep_scale));
   }
   return flight;
 }

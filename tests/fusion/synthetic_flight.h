@@ -13,27 +13,31 @@
 namespace orthonav::fusion {
 
 struct SyntheticOptions {
-  double duration = 448.0;            // s
-  double speed = 2.63;                // m/s along the path
-  double height = 110.0;              // m
-  double keyframe_interval = 0.3;     // s
-  double scale_stddev = 0.03;         // of the odometry's scale at the start
-  double scale_walk = 0.001;          // per square root of a second
+  double duration = 448.0;         // s
+  double speed = 2.63;             // m/s along the path
+  double height = 110.0;           // m
+  double keyframe_interval = 0.3;  // s
+  double scale_stddev = 0.03;      // of the odometry's scale at the start
+  double scale_time = 1e9;         // s over which it forgets, back to its standard deviation
+  double scale_walk = 0.001;
   double heading_walk = 0.0005;       // rad per square root of a second
   double position_noise = 0.02;       // m per keyframe and axis
   double heading_bias_stddev = 0.05;  // rad, of the fixes' heading, one per flight
   double fix_rate = 0.7;              // of the keyframes
   double fix_stddev = 2.5;            // m per horizontal axis, reported by the fixes
   double fix_vertical_stddev = 3.0;
-  double fix_shared_stddev = 1.0;   // m per axis: not reported, correlated over 15 s
+  double fix_shared_stddev = 1.0;   // m per axis: not reported
   double single_wrong_rate = 0.03;  // of the fixes
   double wrong_run_rate = 0.0;      // chance at each fix that a run starts
   double wrong_run_length = 8.0;    // fixes, mean
   int wrong_at_start = 0;           // fixes of a run that the flight begins with
   double wrong_distance = 150.0;    // m, mean
   int fix_delay = 2;                // keyframes between a keyframe and its fix
-  double compass_noise = 0.017;     // rad, white; the bias is the fixes' heading's
-  bool imu = false;                 // 200 Hz samples, with constant biases that the odometry knows to 0.02 m/s^2
+  double fix_shared_vertical_stddev = 1.0;
+  double fix_shared_distance = 40.0;  // m of way over which it is forgotten
+  double tilt_stddev = 0.0;           // rad, of the odometry's "up", correlated over 60 s
+  double compass_noise = 0.017;       // rad, white; the bias is the fixes' heading's
+  bool imu = false;                   // 200 Hz samples, with constant biases that the odometry knows to 0.02 m/s^2
 };
 
 struct SyntheticFlight {
