@@ -36,15 +36,15 @@ struct MapDescription {
   double metres_per_pixel = 0;
   double east_min = 0, east_max = 0, north_min = 0, north_max = 0;  // m in G, area of the tiles
   int64_t num_features = 0;
-  double keypoint_size = 0;                   // map pixels; 0: chosen by the detector
-  double keypoint_stride = 0;                 // map pixels; 0: chosen by the detector
-  double tile_size = 0;                       // m
-  int tile_columns = 0;                       // west to east
-  int tile_rows = 0;                          // south to north
-  bool has_surface = false;                   // heights come from an elevation model
+  double keypoint_size = 0;                       // map pixels; 0: chosen by the detector
+  double keypoint_stride = 0;                     // map pixels; 0: chosen by the detector
+  double tile_size = 0;                           // m
+  int tile_columns = 0;                           // west to east
+  int tile_rows = 0;                              // south to north
+  bool has_surface = false;                       // heights come from an elevation model
   FeatureKind features = FeatureKind::kRootSift;  // what the descriptors are
-  int64_t num_without_data = 0;               // interest points left out: no data in the raster or the elevation model
-  int64_t num_without_texture = 0;            // interest points left out: nothing to recognise, as on water
+  int64_t num_without_data = 0;     // interest points left out: no data in the raster or the elevation model
+  int64_t num_without_texture = 0;  // interest points left out: nothing to recognise, as on water
 
   int num_tiles() const { return tile_columns * tile_rows; }
   // Tile of a position of G, -1 outside the area.

@@ -79,9 +79,9 @@ class GroundOf {
       const Eigen::Vector3d ray = R_G_C * camera.unproject(pixel).value();
       return p_G_C - p_G_C.z() / ray.z() * ray;
     };
-    capture.image =
-        texture_.picture({camera.width(), camera.height()},
-                         [&](const Eigen::Vector2d& pixel) -> Eigen::Vector2d { return ground(pixel).template head<2>(); });
+    capture.image = texture_.picture(
+        {camera.width(), camera.height()},
+        [&](const Eigen::Vector2d& pixel) -> Eigen::Vector2d { return ground(pixel).template head<2>(); });
 
     const Eigen::Matrix3d R_W_G = Eigen::AngleAxisd(0.7, Eigen::Vector3d::UnitZ()).toRotationMatrix();
     const Eigen::Vector3d p_W_G(40, -25, 3);

@@ -114,7 +114,8 @@ ReplaySummary replay(const ReplayOptions& options) {
         options.config.empty() ? vio::VioOptions{} : vio::load_setup(options.config).options;
     services.push_back(std::make_unique<vio::VioService>(node("vio"), vio::load_asl_setup(options.asl, vio_options)));
   }
-  if (!options.config.empty()) services.push_back(std::make_unique<fusion::FusionService>(node("fusion"), options.config));
+  if (!options.config.empty())
+    services.push_back(std::make_unique<fusion::FusionService>(node("fusion"), options.config));
 
   const auto settle = [&] {
     while (bus.handleTimeout(0) > 0) {
