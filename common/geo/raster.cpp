@@ -17,10 +17,14 @@ namespace orthonav {
 
 namespace {
 
+constexpr GIntBig kCacheBytes = 256 << 20;  // of raster blocks, for all rasters of the process
+
 void register_drivers() {
   static std::once_flag once;
   std::call_once(once, [] {
     GDALAllRegister();
+    // GDAL's own limit grows with the machine: a twentieth of its memory.
+    GDALSetCacheMax64(kCacheBytes);
     CPLSetErrorHandler(CPLQuietErrorHandler);  // errors are reported through exceptions, with the file's name
   });
 }

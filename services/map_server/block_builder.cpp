@@ -19,8 +19,8 @@ constexpr double kBlockPixels = 1200;
 constexpr int kDetectorMargin = 64;
 // Sides beyond this would take memory by the square, and not fit the resampling (OpenCV's remap: 32767).
 constexpr double kMaxSourcePixels = 6000;
-// A fixed descriptor takes its gradients at this blur, map pixels.
-constexpr double kDescriptorBlur = 1.6;
+// Contrast is that of averages over squares of this side, map pixels: about what a descriptor's own blur leaves.
+constexpr int kGrain = 4;
 
 struct Bounds {
   double east_min = 1e300, east_max = -1e300, north_min = 1e300, north_max = -1e300;
@@ -158,18 +158,17 @@ BlockFeatures BlockBuilder::build(const Block& block) {
   }
   const Picture picture = resample(block);
   if (picture.grey.empty() || cv::countNonZero(picture.valid) == 0) return result;
-  const cv::Mat filled = fill_invalid(picture.grey, picture.valid);
   std::vector<cv::Point2f> points;
   cv::Mat descriptors;
   if (options_.features == FeatureKind::kSift) {
-    DetectedSift detected = detect_sift(filled);
+    DetectedSift detected = detect_sift(picture.grey);
     points = std::move(detected.points);
     descriptors = detected.descriptors;
   } else {
     points = interest_points(picture, block, result);
     descriptors = options_.features == FeatureKind::kGrid
-                      ? sift_.describe(filled, points)
-                      : OrientationField(filled, {.keypoint_size = options_.keypoint_size}).describe(points);
+                      ? sift_.describe(picture.grey, points)
+                      : OrientationField(picture.grey, {.keypoint_size = options_.keypoint_size}).describe(points);
   }
   for (size_t i = 0; i < points.size(); ++i) {
     const cv::Point2f& point = points[i];
@@ -260,9 +259,10 @@ std::vector<cv::Point2f> BlockBuilder::interest_points(const Picture& picture, c
   cv::Mat invalid;
   cv::integral(picture.valid == 0, invalid, CV_32S);
   // The contrast that a descriptor sees: finer grain, as a sensor's noise on water, is not of the ground.
-  cv::Mat smooth, sum, squares;
-  cv::GaussianBlur(picture.grey, smooth, {}, kDescriptorBlur);
-  cv::integral(smooth, sum, squares, CV_32S, CV_64F);
+  cv::Mat coarse, sum, squares;
+  cv::resize(picture.grey, coarse, {picture.grey.cols / kGrain, picture.grey.rows / kGrain}, 0, 0, cv::INTER_AREA);
+  cv::integral(coarse, sum, squares, CV_32S, CV_64F);
+  const cv::Rect all_coarse(0, 0, coarse.cols, coarse.rows);
   const int half = static_cast<int>(std::lround(3 * options_.keypoint_size));
   const double stride = options_.keypoint_stride;
   const double first = 0.5 * stride;
@@ -282,8 +282,10 @@ std::vector<cv::Point2f> BlockBuilder::interest_points(const Picture& picture, c
         ++result.without_data;
         continue;
       }
-      const double mean = sum_in<int>(sum, square) / square.area();
-      const double variance = sum_in<double>(squares, square) / square.area() - mean * mean;
+      const cv::Rect cells =
+          cv::Rect(square.x / kGrain, square.y / kGrain, square.width / kGrain, square.height / kGrain) & all_coarse;
+      const double mean = sum_in<int>(sum, cells) / cells.area();
+      const double variance = sum_in<double>(squares, cells) / cells.area() - mean * mean;
       if (variance < options_.min_contrast * options_.min_contrast) {
         ++result.without_texture;
         continue;

@@ -94,15 +94,17 @@ Geodetic GroundSurface::at(const Geodetic& position) const {
 GroundPoint GroundSurface::below(const EnuFrame& frame, const Eigen::Vector2d& en) const {
   // G's vertical leans by the distance over the Earth's radius, so latitude and longitude depend on the height,
   // weakly: each step shrinks the error by far more than the slope of any terrain.
-  double up = 0;
-  double height = reference_height_;
-  Geodetic position;
-  for (int i = 0; i < 3; ++i) {
-    position = frame.to_geodetic({en.x(), en.y(), up});
-    height = height_at(position);
-    up += (std::isfinite(height) ? height : reference_height_) - position.height;
+  constexpr double kEnough = 1e-4;  // m
+  GroundPoint ground;
+  for (int i = 0; i < 4; ++i) {
+    ground.position = frame.to_geodetic({en.x(), en.y(), ground.up});
+    const double height = height_at(ground.position);
+    ground.known = std::isfinite(height);
+    const double error = (ground.known ? height : reference_height_) - ground.position.height;
+    if (std::abs(error) < kEnough) break;
+    ground.up += error;
   }
-  return {frame.to_geodetic({en.x(), en.y(), up}), up, std::isfinite(height)};
+  return ground;
 }
 
 }  // namespace orthonav::map_server
