@@ -184,31 +184,6 @@ void align_points(const std::vector<const View*>& views, const MapIndex& index, 
   fit.points = std::move(aligned);
 }
 
-// Height of the ground among lifts of points of which some lie above it (their lifts are less): the middle of the
-// densest half, and then of what lies within `spread` of it.
-double ground_level(std::vector<double> lifts, double spread) {
-  std::sort(lifts.begin(), lifts.end());
-  size_t begin = 0, size = lifts.size();
-  while (size > 3) {
-    const size_t half = (size + 1) / 2;
-    size_t best = begin;
-    for (size_t i = begin; i + half <= begin + size; ++i) {
-      if (lifts[i + half - 1] - lifts[i] < lifts[best + half - 1] - lifts[best]) best = i;
-    }
-    begin = best;
-    size = half;
-  }
-  const double mode = lifts[begin + size / 2];
-  double sum = 0;
-  int count = 0;
-  for (const double lift : lifts) {
-    if (std::abs(lift - mode) > spread) continue;
-    sum += lift;
-    ++count;
-  }
-  return sum / count;
-}
-
 }  // namespace
 
 PlaceFit fit_place(const std::vector<const View*>& views, const MapIndex& index, double metres_per_pixel,
@@ -229,7 +204,7 @@ PlaceFit fit_place(const std::vector<const View*>& views, const MapIndex& index,
 }
 
 FittedPose fit_pose(const std::vector<const View*>& views, const PlaceFit& fit, const Alignment& prior,
-                    const FitOptions& options) {
+                    const FitOptions& options, GroundLevel& ground) {
   FittedPose result;
   std::vector<const PlacedPoint*> inliers;
   for (const PlacedPoint& placed : fit.points) {
@@ -244,7 +219,9 @@ FittedPose fit_pose(const std::vector<const View*>& views, const PlaceFit& fit, 
   for (const PlacedPoint* placed : inliers) {
     lifts.push_back(placed->ground - fit.alignment.scale * (point_of(views, *placed).p_W.z() - keyframe.p_W_B.z()));
   }
-  const double level = ground_level(lifts, 0.02 * keyframe.height_above_ground);
+  ground.add(lifts, keyframe.height_above_ground, keyframe.p_W_B.z(),
+             options.matches_per_observation * static_cast<double>(views.size()));
+  const double level = ground.level();
   std::vector<double> heights;  // of the map's points, m in G
   double mean_drop = 0;         // of the points below the body, by the odometry
   for (size_t i = 0; i < inliers.size(); ++i) {

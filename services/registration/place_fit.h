@@ -13,6 +13,7 @@
 #include <Eigen/Core>
 #include <Eigen/Geometry>
 
+#include "services/registration/ground_level.h"
 #include "services/registration/map_index.h"
 #include "services/registration/place_search.h"
 #include "services/registration/view.h"
@@ -65,8 +66,9 @@ struct FittedPose {
   double yaw = 0, yaw_stddev = 0;  // rad, of W in G
 };
 
-// Throws nothing; ok is false when the equations cannot be solved.
+// `ground` is what the keyframes before said of the height. Throws nothing; ok is false when the equations cannot be
+// solved.
 FittedPose fit_pose(const std::vector<const View*>& views, const PlaceFit& fit, const Alignment& prior,
-                    const FitOptions& options);
+                    const FitOptions& options, GroundLevel& ground);
 
 }  // namespace orthonav::registration

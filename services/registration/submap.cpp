@@ -20,6 +20,10 @@ constexpr double kFittedScaleStddev = 0.01;
 constexpr double kFittedShare = 0.3;
 // Headings tried where none is known: a descriptor stands a turn of half a step.
 constexpr int kHeadingsTried = 24;
+// What the share of points that stay aligned with the map counts, beside the likelihood ratio's share.
+constexpr double kInlierEvidence = 3;
+// Places to which matches are aligned, to compare how many stay.
+constexpr size_t kPlacesFitted = 3;
 
 // Root mean square of the points' horizontal distances from the body, m.
 double lever_of(const View& view) {
@@ -43,6 +47,7 @@ SubmapOptions SubmapOptions::from_config(ConfigNode& node) {
   submap.read("second_distance", options.second_distance, 1, 1e6);
   submap.read("min_likelihood_ratio", options.min_likelihood_ratio, 0, 1e9);
   submap.read("min_likelihood_share", options.min_likelihood_share, 0, 1);
+  submap.read("min_evidence", options.min_evidence, 0, 10);
   submap.read("min_inliers", options.min_inliers, 6, 10000);
   submap.read("scale_stddev", options.fit.scale_stddev, 1e-4, 1);
   double tilt_stddev_deg = options.fit.tilt_stddev / kRadian;
@@ -93,6 +98,7 @@ bool SubmapRegistrar::describe(const Keyframe& keyframe, int session, const cv::
     num_headings_ = 0;
     fitted_yaw_.reset();
     fitted_scale_.reset();
+    ground_ = {};
   }
   places_.clear();
   heading_ = heading;
@@ -231,6 +237,41 @@ void SubmapRegistrar::learn_from(const FittedPose& pose, size_t variant) {
   }
 }
 
+FitOptions SubmapRegistrar::fit_options() const {
+  FitOptions options = options_.fit;
+  options.heading_stddev = options_.search_heading ? M_PI : heading_.stddev;
+  return options;
+}
+
+Alignment SubmapRegistrar::prior_alignment(size_t variant) const {
+  const double yaw = keyframes_.front()[variant].view->yaw;
+  return {options_.search_heading ? 0 : wrap_angle(compass_yaw_ - yaw), 1.0};
+}
+
+std::vector<SubmapRegistrar::Candidate> SubmapRegistrar::fit_best_places() const {
+  std::vector<Candidate> candidates;
+  const auto is_near = [&](const Eigen::Vector2d& a, const Eigen::Vector2d& b) {
+    return (a - b).norm() < options_.second_distance;
+  };
+  size_t fitted = 0;
+  for (const Place& place : places_) {
+    if (fitted == kPlacesFitted) break;
+    const auto known = [&](const Candidate& other) { return is_near(other.place.en, place.en); };
+    if (std::any_of(candidates.begin(), candidates.end(), known)) continue;
+    ++fitted;
+    Candidate candidate{
+        place, fit_place(views(place.variant, options_.pose_keyframes), *index_, geometry_.metres_per_pixel, place.en,
+                         place.alignment, prior_alignment(place.variant), fit_options())};
+    if (!candidate.fit.ok) candidate.fit.inliers = 0;
+    // The fit of the flank of a better place ends there.
+    const auto same = [&](const Candidate& other) { return is_near(other.fit.en, candidate.fit.en); };
+    if (std::none_of(candidates.begin(), candidates.end(), same)) candidates.push_back(std::move(candidate));
+  }
+  std::stable_sort(candidates.begin(), candidates.end(),
+                   [](const Candidate& a, const Candidate& b) { return a.fit.inliers > b.fit.inliers; });
+  return candidates;
+}
+
 Fix SubmapRegistrar::solve() {
   Fix fix;
   fix.reason = refused_;
@@ -243,29 +284,29 @@ Fix SubmapRegistrar::solve() {
     fix.reason = "no place on the map looks like the submap";
     return fix;
   }
-  const Place best = places_.front();
-  const std::vector<const View*> submap = views(best.variant, options_.pose_keyframes);
-  const View& newest = *submap.front();
-  fix.log_likelihood = best.likelihood;
-  fix.log_likelihood_ratio = best.likelihood;
+  const std::vector<Candidate> candidates = fit_best_places();
+  const Candidate& best = candidates.front();
+  const View& newest = *views(best.place.variant, 1).front();
+  fix.log_likelihood = best.place.likelihood;
+  fix.log_likelihood_ratio = best.place.likelihood;
   for (const Place& other : places_) {
-    if ((other.en - best.en).norm() < options_.second_distance) continue;
-    fix.log_likelihood_ratio = best.likelihood - other.likelihood;
+    if ((other.en - best.place.en).norm() < options_.second_distance) continue;
+    if ((other.en - best.fit.en).norm() < options_.second_distance) continue;
+    fix.log_likelihood_ratio = best.place.likelihood - other.likelihood;
     break;
   }
-
-  FitOptions fit_options = options_.fit;
-  fit_options.heading_stddev = options_.search_heading ? M_PI : heading_.stddev;
-  const Alignment prior{options_.search_heading ? 0 : wrap_angle(compass_yaw_ - newest.yaw), 1.0};
-  const PlaceFit fit =
-      fit_place(submap, *index_, geometry_.metres_per_pixel, best.en, best.alignment, prior, fit_options);
-  const FittedPose pose = fit.ok ? fit_pose(submap, fit, prior, fit_options) : FittedPose{};
+  const PlaceFit& fit = best.fit;
+  GroundLevel ground = ground_;
+  const FittedPose pose = fit.ok ? fit_pose(views(best.place.variant, options_.pose_keyframes), fit,
+                                            prior_alignment(best.place.variant), fit_options(), ground)
+                                 : FittedPose{};
   const double odometry_heading = heading_of(newest.keyframe.q_W_B);
   const double yaw = pose.ok ? pose.yaw : wrap_angle(odometry_heading - heading_.value);
-  const Eigen::Vector2d en = pose.ok ? pose.p_G_B.head<2>() : best.en;
+  const Eigen::Vector2d en = pose.ok ? pose.p_G_B.head<2>() : best.place.en;
   fix.translation = en - Eigen::Rotation2Dd(yaw) * newest.keyframe.p_W_B.head<2>();
   fix.num_candidates = fix.num_query;
   fix.num_inliers = static_cast<int>(fit.inliers);
+  if (candidates.size() > 1) fix.num_second_inliers = static_cast<int>(candidates[1].fit.inliers);
   for (const PlacedPoint& placed : fit.points) {
     if (placed.view != 0 || placed.weight < 0.1) continue;
     const TrackedPoint& tracked =
@@ -281,10 +322,15 @@ Fix SubmapRegistrar::solve() {
     fix.heading_correction = wrap_angle(odometry_heading - yaw - heading_.value);
     fix.heading_correction_stddev = pose.yaw_stddev;
   }
-  const double needed = std::max(options_.min_likelihood_ratio, options_.min_likelihood_share * fix.log_likelihood);
-  if (fix.log_likelihood_ratio < needed) {
-    fix.reason = fmt::format("another place is nearly as likely: log-likelihood ratio {:.0f}, {:.0f} is needed",
-                             fix.log_likelihood_ratio, needed);
+  size_t points = 0;
+  for (const View* view : views(best.place.variant, options_.pose_keyframes)) points += view->points.size();
+  const double share = fix.log_likelihood_ratio / fix.log_likelihood;
+  const double evidence = share + kInlierEvidence * fit.inliers / static_cast<double>(points);
+  const bool nearby = radius_ <= kFineRadius && share >= options_.min_likelihood_share;
+  if (fix.log_likelihood_ratio < options_.min_likelihood_ratio || (evidence < options_.min_evidence && !nearby)) {
+    fix.reason =
+        fmt::format("another place is nearly as likely: log-likelihood ratio {:.0f} of {:.0f}, evidence {:.2f}",
+                    fix.log_likelihood_ratio, fix.log_likelihood, evidence);
   } else if (fix.num_inliers < options_.min_inliers) {
     fix.reason = fmt::format("{} inliers, {} are needed", fix.num_inliers, options_.min_inliers);
   } else if (!pose.ok) {
@@ -295,7 +341,8 @@ Fix SubmapRegistrar::solve() {
     ++without_fix_;
     return fix;
   }
-  learn_from(pose, best.variant);
+  ground_ = std::move(ground);
+  learn_from(pose, best.place.variant);
   return fix;
 }
 

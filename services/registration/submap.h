@@ -33,9 +33,12 @@ struct SubmapOptions {
   double min_radius = 15;       // m, and at least this
   double widening = 1.5;        // factor of the radius for each keyframe without a fix
   double second_distance = 15;  // m: places further from the best are other places
-  // Of a fix: the log-likelihood of the best place less that of the second, in itself and as a share of the former.
+  // Of a fix: the log-likelihood of the best place less that of the second, in itself,
   double min_likelihood_ratio = 150;
+  // and as a share of the former: of a place where the aircraft is expected; of one found on the map, with three times
+  // the share of the points that stay when matches are aligned.
   double min_likelihood_share = 0.35;
+  double min_evidence = 0.75;
   int min_inliers = 8;
   int coarse_places = 12;  // of the coarse grid that are compared at full resolution
   EvidenceOptions evidence;
@@ -83,6 +86,10 @@ class SubmapRegistrar {
     double likelihood = 0;
     size_t variant = 0;
   };
+  struct Candidate {
+    Place place;
+    PlaceFit fit;
+  };
   std::vector<const View*> views(size_t variant, int count) const;
   Alignment expected(size_t variant) const;
   std::vector<Alignment> alignments_for(size_t variant, double step) const;
@@ -90,6 +97,11 @@ class SubmapRegistrar {
   void search_around(const PositionPrior& prior, double radius, size_t variant);
   void compare_at_full_resolution(const std::vector<PlaceCandidate>& coarse, const std::vector<Alignment>& candidates,
                                   size_t variant);
+  FitOptions fit_options() const;
+  // What compass and odometry say, against what the newest view was described with.
+  Alignment prior_alignment(size_t variant) const;
+  // The best different places, that with the most aligned matches first.
+  std::vector<Candidate> fit_best_places() const;
   void learn_from(const FittedPose& pose, size_t variant);
 
   SubmapOptions options_;
@@ -104,6 +116,7 @@ class SubmapRegistrar {
   double compass_yaw_ = 0;
   int num_headings_ = 0;
   std::optional<double> fitted_yaw_, fitted_scale_;
+  GroundLevel ground_;   // of the session's fixes
   int without_fix_ = 0;  // keyframes since the last fix
 
   std::string refused_;

@@ -85,8 +85,6 @@ void run(const Arguments& arguments) {
   if (arguments.max_keyframes > 0) submap_options.max_keyframes = arguments.max_keyframes;
   const bool bounded = arguments.prior_sigma > 0;
   // Cold: nothing is ever accepted, so that nothing is known for the next keyframe. Whether it would be is judged here.
-  const double threshold = submap_options.min_likelihood_ratio;
-  if (!bounded) submap_options.min_likelihood_ratio = 1e6;
   submap_options.evidence = arguments.evidence;
   submap_options.coarse_places = arguments.coarse_places;
   SubmapRegistrar submap(submap_options, camera);
@@ -132,11 +130,6 @@ void run(const Arguments& arguments) {
       described = now_ms();
       submap.search(prior);
       fix = submap.solve();
-      if (!bounded)
-        fix.valid =
-            std::isfinite(fix.scale) &&
-            fix.log_likelihood_ratio >= std::max(threshold, submap_options.min_likelihood_share * fix.log_likelihood) &&
-            fix.num_inliers >= submap_options.min_inliers;
     } else {
       const Query query = registrar.describe(keyframe, decoded.grey, *heading);
       described = now_ms();

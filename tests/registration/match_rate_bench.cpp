@@ -211,9 +211,7 @@ void run(const Arguments& arguments) {
   const CameraModel camera(parameters);
   std::FILE* csv = arguments.csv.empty() ? nullptr : std::fopen(arguments.csv.c_str(), "w");
   SubmapOptions submap_options;
-  const double min_ratio = submap_options.min_likelihood_ratio;
   submap_options.max_keyframes = arguments.keyframes;
-  submap_options.min_likelihood_ratio = 1e9;  // nothing is to be learnt from one keyframe for the next
   submap_options.evidence = arguments.evidence;
   submap_options.coarse_places = arguments.coarse_places;
   SubmapRegistrar submap(submap_options, camera);
@@ -253,10 +251,6 @@ void run(const Arguments& arguments) {
         submap.describe(keyframe, session, view.image, heading);
         submap.search(std::nullopt);
         fix = submap.solve();
-        fix.valid =
-            std::isfinite(fix.scale) &&
-            fix.log_likelihood_ratio >= std::max(min_ratio, submap_options.min_likelihood_share * fix.log_likelihood) &&
-            fix.num_inliers >= submap_options.min_inliers;
         const double used = heading.value + (std::isfinite(fix.heading_correction) ? fix.heading_correction : 0);
         error = ((rotation_G_W(keyframe.q_W_B, used) * keyframe.p_W_B).head<2>() + fix.translation - truth).norm();
       } else {

@@ -1,0 +1,60 @@
+#include "services/registration/ground_level.h"
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+
+#include "common/math/statistics.h"
+
+namespace orthonav::registration {
+namespace {
+
+constexpr double kStep = 0.25;    // m between the levels compared,
+constexpr int kReach = 160;       // of which there are so many on either side of the first
+constexpr double kMemory = 0.97;  // part of what was known that is kept from keyframe to keyframe
+constexpr int kEnoughLifts = 10;  // on the ground, to do without what was known
+
+// A lift around the level: on the ground, of a point on something as tall as houses and trees are, or wrong.
+constexpr double kOnGround = 0.62, kAbove = 0.37, kWrong = 0.01;
+constexpr double kTallest = 40;      // m
+constexpr double kWrongRange = 150;  // m
+
+double log_density(double above_ground, double stddev) {
+  const double z = above_ground / stddev;
+  double density = kWrong / kWrongRange + kOnGround / (std::sqrt(2 * M_PI) * stddev) * std::exp(-0.5 * z * z);
+  if (above_ground > 0 && above_ground < kTallest) density += kAbove / kTallest;
+  return std::log(density);
+}
+
+}  // namespace
+
+void GroundLevel::add(const std::vector<double>& lifts, double height, double z_W, double lifts_per_observation) {
+  if (log_likelihoods_.empty()) {
+    origin_ = median(lifts);
+    log_likelihoods_.assign(2 * kReach + 1, 0.0);
+  } else {
+    origin_ += z_W - z_W_;
+    for (double& log_likelihood : log_likelihoods_) log_likelihood *= kMemory;
+  }
+  z_W_ = z_W;
+  // Of the odometry's depths and the map's heights.
+  const double stddev = std::hypot(0.7, 0.01 * height);
+  for (size_t i = 0; i < log_likelihoods_.size(); ++i) {
+    const double level = origin_ + kStep * (static_cast<double>(i) - kReach);
+    double sum = 0;
+    for (const double lift : lifts) sum += log_density(level - lift, stddev);
+    log_likelihoods_[i] += sum / lifts_per_observation;
+  }
+  const auto best = std::max_element(log_likelihoods_.begin(), log_likelihoods_.end());
+  const double mode = origin_ + kStep * static_cast<double>(best - log_likelihoods_.begin() - kReach);
+  double sum = 0;
+  int count = 0;
+  for (const double lift : lifts) {
+    if (std::abs(lift - mode) > 2 * stddev) continue;
+    sum += lift;
+    ++count;
+  }
+  level_ = (sum + std::max(0, kEnoughLifts - count) * mode) / std::max(kEnoughLifts, count);
+}
+
+}  // namespace orthonav::registration

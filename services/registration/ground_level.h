@@ -1,0 +1,31 @@
+// How high the body is over the map's ground, told from points of which many lie above it.
+//
+// Each point says where the body would be if that point lay on the map's ground (its "lift"). Roofs and canopy say
+// less, and over a wood they are the many: the level is not where most lifts lie but the highest one that is well
+// supported, for nothing lies below the ground. Keyframes before this one, moved along by the odometry's climb, are
+// remembered, because ground seen at the edge of a wood still tells the height over its middle.
+//
+// Not thread-safe; a value.
+#pragma once
+
+#include <vector>
+
+namespace orthonav::registration {
+
+class GroundLevel {
+ public:
+  // Adds the lifts (m, in G; at least one) of points seen from `height` m above them by the body at `z_W`, m in W;
+  // `lifts_per_observation` lifts count as one.
+  void add(const std::vector<double>& lifts, double height, double z_W, double lifts_per_observation);
+
+  // The body's height in G, m. Wants add() first.
+  double level() const { return level_; }
+
+ private:
+  double origin_ = 0;                    // m in G, of the middle of the levels compared
+  double z_W_ = 0;                       // m, of the body that they are levels of
+  std::vector<double> log_likelihoods_;  // of the levels
+  double level_ = 0;
+};
+
+}  // namespace orthonav::registration

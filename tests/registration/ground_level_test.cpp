@@ -1,0 +1,76 @@
+#include "services/registration/ground_level.h"
+
+#include <random>
+#include <vector>
+
+#include <gtest/gtest.h>
+
+namespace orthonav::registration {
+namespace {
+
+constexpr double kHeight = 110, kPerObservation = 30;
+
+class Scene {
+ public:
+  // Lifts of `on_ground` points of the ground and `above` points of a canopy some `tall` m high, of a body at `z`.
+  std::vector<double> lifts(int on_ground, int above, double tall, double z) {
+    std::vector<double> result;
+    for (int i = 0; i < on_ground; ++i) result.push_back(z + noise_(random_));
+    for (int i = 0; i < above; ++i) result.push_back(z - tall + noise_(random_));
+    return result;
+  }
+
+ private:
+  std::mt19937 random_{7};
+  std::normal_distribution<double> noise_{0, 1};
+};
+
+TEST(GroundLevel, IsTheMeanOverBareGround) {
+  Scene scene;
+  GroundLevel ground;
+  ground.add(scene.lifts(400, 0, 0, kHeight), kHeight, 3, kPerObservation);
+  EXPECT_NEAR(ground.level(), kHeight, 0.2);
+}
+
+TEST(GroundLevel, IsTheGroundWhereMostPointsLieOnAWood) {
+  for (const double tall : {8.0, 12.0, 25.0}) {
+    Scene scene;
+    GroundLevel ground;
+    ground.add(scene.lifts(60, 140, tall, kHeight), kHeight, 0, kPerObservation);
+    EXPECT_NEAR(ground.level(), kHeight, 0.6) << tall;
+  }
+}
+
+TEST(GroundLevel, IsNotLiftedByAFewWrongPointsBelowTheGround) {
+  Scene scene;
+  GroundLevel ground;
+  std::vector<double> lifts = scene.lifts(150, 0, 0, kHeight);
+  const std::vector<double> wrong = scene.lifts(0, 12, -20, kHeight);
+  lifts.insert(lifts.end(), wrong.begin(), wrong.end());
+  ground.add(lifts, kHeight, 0, kPerObservation);
+  EXPECT_NEAR(ground.level(), kHeight, 0.3);
+}
+
+TEST(GroundLevel, IsRememberedOverAClosedWoodAndMovesWithTheBody) {
+  Scene scene;
+  GroundLevel ground;
+  for (int i = 0; i < 20; ++i) ground.add(scene.lifts(120, 0, 0, kHeight), kHeight, 5, kPerObservation);
+  double z = 0;
+  for (int i = 1; i <= 8; ++i) {
+    z = 0.5 * i;
+    ground.add(scene.lifts(3, 117, 11, kHeight + z), kHeight, 5 + z, kPerObservation);
+  }
+  EXPECT_NEAR(ground.level(), kHeight + z, 1.0);
+}
+
+TEST(GroundLevel, FollowsWhenTheWoodProvesToBeTheGround) {
+  // The map's height or the odometry's was wrong by 6 m: what was remembered must give way.
+  Scene scene;
+  GroundLevel ground;
+  for (int i = 0; i < 20; ++i) ground.add(scene.lifts(120, 0, 0, kHeight), kHeight, 0, kPerObservation);
+  for (int i = 0; i < 100; ++i) ground.add(scene.lifts(120, 0, 0, kHeight - 6), kHeight, 0, kPerObservation);
+  EXPECT_NEAR(ground.level(), kHeight - 6, 0.3);
+}
+
+}  // namespace
+}  // namespace orthonav::registration
