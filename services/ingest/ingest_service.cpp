@@ -13,36 +13,38 @@ namespace orthonav::ingest {
 
 std::unique_ptr<SensorSource> make_source(const IngestOptions& options) {
   if (options.log.empty() == options.asl.empty())
-    throw std::runtime_error("name one source: --log FILE or --asl FOLDER");
+    throw std::runtime_error("name one source: --log FILE or --asl FOLDER, or --sensors");
   if (!options.log.empty()) return std::make_unique<LogSource>(options.log);
   return std::make_unique<AslSource>(options.asl);
 }
 
 namespace {
 
-// Publishes a message if it is sound; says whether it was.
-bool publish_if_sound(Node& node, Validator& validator, const SensorMessage& message) {
+// Publishes a message if it is sound; else counts it and says what is wrong with it.
+std::string publish_if_sound(Node& node, Validator& validator, const SensorMessage& message) {
   const std::string channel = channel_of(message);
   const Verdict verdict = validator.check(message);
   if (!verdict.accepted) {
     node.health().reject(channel + "." + verdict.reason, verdict.detail);
-    return false;
+    return verdict.detail;
   }
   if (verdict.gap) node.health().add("gaps." + channel);
   std::visit([&](const auto& m) { node.publish(channel, m); }, message);
-  return true;
+  return "";
 }
 
 }  // namespace
 
-void publish_checked(Node& node, Validator& validator, Compass& compass, const SensorEvent& event) {
+std::string publish_checked(Node& node, Validator& validator, Compass& compass, const SensorEvent& event) {
   if (!event.message) {
     node.health().reject("source", event.error);
-    return;
+    return event.error;
   }
   if (std::holds_alternative<compass_t>(*event.message)) compass.stand_back();
-  if (!publish_if_sound(node, validator, *event.message)) return;
+  std::string fault = publish_if_sound(node, validator, *event.message);
+  if (!fault.empty()) return fault;
   if (auto heading = compass.feed(*event.message)) publish_if_sound(node, validator, SensorMessage(*heading));
+  return "";
 }
 
 IngestService::IngestService(Node& node, const std::filesystem::path& config, const IngestOptions& options)

@@ -1,4 +1,5 @@
-// Puts sensors on the bus: reads a source, validates, paces by the time stamps, publishes, reports.
+// Puts a recorded flight on the bus: reads a source, validates, paces by the time stamps, publishes, reports. The
+// sensors of a board: sensor_service.h.
 #pragma once
 
 #include <filesystem>
@@ -26,8 +27,9 @@ struct IngestOptions {
 std::unique_ptr<SensorSource> make_source(const IngestOptions& options);
 
 // Checks a message and publishes it if it is sound; counts it in the node's health either way. Shared by the live
-// service and the replay. A raw magnetometer sample is followed by the heading that `compass` makes of it.
-void publish_checked(Node& node, Validator& validator, Compass& compass, const SensorEvent& event);
+// service and the replay. A raw magnetometer sample is followed by the heading that `compass` makes of it. Returns what
+// was wrong with the event, empty when it was published.
+std::string publish_checked(Node& node, Validator& validator, Compass& compass, const SensorEvent& event);
 
 class IngestService : public Service {
  public:

@@ -1,4 +1,4 @@
-// Where sensor data comes from: a recorded flight, a dataset, later a device.
+// Where sensor data comes from: a recorded flight or a dataset. (The sensors of a board are devices, device.h.)
 //
 // To add a source, derive from SensorSource, add a branch to make_source() in ingest_service.cpp, and a test in
 // tests/ingest. Everything behind this interface (validation, pacing, publishing, health) is shared.

@@ -10,6 +10,10 @@ namespace {
 
 constexpr double kLongestJump = 3600.0;  // s
 constexpr double kGapPeriods = 3.0;
+// Three times what the sensors of a small aircraft can read: 35 rad/s, 160 m/s^2, 1 mT (the Earth's field is 0.05).
+constexpr double kFastestTurn = 100;      // rad/s
+constexpr double kLargestForce = 500;     // m/s^2
+constexpr double kStrongestField = 3e-3;  // T
 // A clock that was set back stays back: after so many refusals in a row its new time is taken over.
 constexpr int kRefusalsUntilNewTime = 50;
 
@@ -24,6 +28,10 @@ struct FaultOf {
     for (int i = 0; i < 3; ++i) {
       if (!std::isfinite(m.angular_rate[i])) return {"nan", fmt::format("angular_rate[{}] is not finite", i)};
       if (!std::isfinite(m.specific_force[i])) return {"nan", fmt::format("specific_force[{}] is not finite", i)};
+      if (std::abs(m.angular_rate[i]) > kFastestTurn)
+        return {"range", fmt::format("angular_rate[{}] is {:.0f} rad/s", i, m.angular_rate[i])};
+      if (std::abs(m.specific_force[i]) > kLargestForce)
+        return {"range", fmt::format("specific_force[{}] is {:.0f} m/s^2", i, m.specific_force[i])};
     }
     return {};
   }
@@ -44,7 +52,11 @@ struct FaultOf {
     return std::isfinite(m.heading) ? Fault{} : Fault{"nan", "heading is not finite"};
   }
   Fault operator()(const magnetometer_t& m) const {
-    return std::isfinite(m.field[0] + m.field[1] + m.field[2]) ? Fault{} : Fault{"nan", "field is not finite"};
+    for (const double component : m.field) {
+      if (!std::isfinite(component)) return {"nan", "field is not finite"};
+      if (std::abs(component) > kStrongestField) return {"range", fmt::format("field of {:.3g} T", component)};
+    }
+    return {};
   }
   Fault operator()(const altitude_t& m) const {
     return std::isfinite(m.height_above_ground) ? Fault{} : Fault{"nan", "height_above_ground is not finite"};

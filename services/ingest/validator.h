@@ -1,7 +1,8 @@
 // Decides whether a sensor's message may go on the bus, and watches the rate of each sensor.
 //
-// Refused: values that are not finite, time that does not advance, a time stamp that jumps by more than an hour,
-// an image whose size disagrees with its data. Gaps are let through and counted: a gap is the estimator's to bridge.
+// Refused: values that are not finite or that no sensor of a small aircraft reads, time that does not advance, a time
+// stamp that jumps by more than an hour, an image whose size disagrees with its data. Gaps are let through and counted:
+// a gap is the estimator's to bridge.
 #pragma once
 
 #include <cstdint>
@@ -14,7 +15,7 @@ namespace orthonav::ingest {
 
 struct Verdict {
   bool accepted = true;
-  std::string reason;  // short name for a counter: "nan", "order", "jump", "size"; empty when accepted
+  std::string reason;  // short name for a counter: "nan", "range", "order", "jump", "size"; empty when accepted
   std::string detail;  // one line naming channel, time and value
   bool gap = false;    // accepted, but later than three usual periods after the one before
 };

@@ -53,6 +53,20 @@ TEST(Validator, RefusesNaN) {
   EXPECT_EQ(validator.check(compass).reason, "nan");
 }
 
+TEST(Validator, RefusesWhatNoSensorOfASmallAircraftReads) {
+  Validator validator;
+  imu_t imu = imu_at(1000);
+  imu.angular_rate[1] = -200;
+  EXPECT_EQ(validator.check(imu).reason, "range");
+  imu = imu_at(1000);
+  imu.specific_force[0] = 1e5;
+  EXPECT_EQ(validator.check(imu).reason, "range");
+  magnetometer_t field{};
+  field.utime = 1000;
+  field.field[2] = 0.1;
+  EXPECT_EQ(validator.check(field).reason, "range");
+}
+
 TEST(Validator, RefusesTimeThatDoesNotAdvancePerChannel) {
   Validator validator;
   EXPECT_TRUE(validator.check(imu_at(10'000)).accepted);

@@ -30,6 +30,7 @@ class ChildProcess {
   // Starts arguments[0]. With `output`, both of its streams go to that file.
   explicit ChildProcess(const std::vector<std::string>& arguments, const std::filesystem::path& output = {}) {
     std::vector<char*> argv;
+    argv.reserve(arguments.size() + 1);
     for (const auto& argument : arguments) argv.push_back(const_cast<char*>(argument.c_str()));
     argv.push_back(nullptr);
     pid_ = fork();

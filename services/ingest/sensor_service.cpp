@@ -1,0 +1,78 @@
+#include "services/ingest/sensor_service.h"
+
+#include <algorithm>
+
+#include <fmt/format.h>
+#include <spdlog/spdlog.h>
+
+#include "services/ingest/ingest_service.h"
+#include "services/ingest/sensor_options.h"
+
+namespace orthonav::ingest {
+
+namespace {
+
+constexpr std::chrono::milliseconds kPublishPeriod{1};
+constexpr std::chrono::milliseconds kWatchPeriod{100};
+
+}  // namespace
+
+SensorService::SensorService(Node& node, const std::filesystem::path& config)
+    : node_(node), compass_(Compass::load(config)) {
+  const SensorOptions options = SensorOptions::load(config);
+  for (auto& device : make_devices(options, clock_)) {
+    readers_.push_back(std::make_unique<DeviceReader>(std::move(device)));
+    for (const std::string& channel : readers_.back()->channels())
+      watches_.try_emplace(channel, channel, options.silence_s);
+  }
+  node.every(kPublishPeriod, [this] { publish_what_came(); });
+  node.every(kWatchPeriod, [this] { watch(); });
+}
+
+void SensorService::publish_what_came() {
+  const bool ended = std::all_of(readers_.begin(), readers_.end(), [](const auto& r) { return r->ended(); });
+  events_.clear();
+  for (const auto& reader : readers_) reader->take(events_);
+  const int64_t now = clock_.now();
+  for (const SensorEvent& event : events_) {
+    const auto found = event.message ? watches_.find(channel_of(*event.message)) : watches_.end();
+    if (found == watches_.end()) {
+      publish_checked(node_, validator_, compass_, event);
+    } else if (found->second.frozen(*event.message, now)) {
+      node_.health().add("rejected." + found->first + ".frozen");
+      found->second.judged("the very same reading again and again", now);
+    } else {
+      found->second.judged(publish_checked(node_, validator_, compass_, event), now);
+    }
+  }
+  if (ended) node_.stop();
+}
+
+void SensorService::watch() {
+  std::string complaint;
+  const int64_t now = clock_.now();
+  for (const auto& reader : readers_) {
+    if (reader->ended()) continue;
+    std::string wrong;
+    for (const std::string& channel : reader->channels()) {
+      node_.health().set("rate_hz." + channel, validator_.rate_hz(channel));
+      if (wrong.empty()) wrong = watches_.at(channel).complaint(now);
+    }
+    if (wrong.empty()) continue;
+    const std::string trouble = reader->trouble();
+    complaint +=
+        fmt::format("{}{} ({})", complaint.empty() ? "" : "; ", wrong, trouble.empty() ? reader->name() : trouble);
+  }
+  if (complaint.empty() != complaint_.empty()) {
+    if (complaint.empty()) {
+      spdlog::info("all sensors are there");
+    } else {
+      spdlog::warn("{}", complaint);
+      node_.health().add("sensor_outages");
+    }
+  }
+  complaint_ = complaint;
+  node_.health().set_state(complaint.empty() ? Health::State::kOk : Health::State::kDegraded, complaint);
+}
+
+}  // namespace orthonav::ingest
