@@ -4,7 +4,6 @@
 #include <cmath>
 
 #include <Eigen/Cholesky>
-#include <Eigen/Eigenvalues>
 #include <Eigen/SVD>
 #include <fmt/format.h>
 
@@ -37,10 +36,6 @@ Eigen::Matrix<double, 3, 2> across(const Eigen::Vector3d& t) {
   B.col(1) = t.cross(B.col(0));
   return B;
 }
-
-}  // namespace
-
-namespace {
 
 RelativeRotation refine(const std::vector<Eigen::Vector3d>& rays_1, const std::vector<Eigen::Vector3d>& rays_2,
                         const Eigen::Vector3d& guess, const Eigen::Vector3d& direction, double focal,
@@ -138,7 +133,7 @@ void CalibrationCheck::check_gravity(const std::vector<ImuSample>& imu) {
   force_sum_ = force_time_ = 0;
 }
 
-void CalibrationCheck::add(int64_t, const std::vector<TrackedFeature>& features, const std::vector<ImuSample>& imu) {
+void CalibrationCheck::add(const std::vector<TrackedFeature>& features, const std::vector<ImuSample>& imu) {
   check_gravity(imu);
   for (size_t k = 1; k < imu.size(); ++k) {
     const double dt = 1e-6 * static_cast<double>(imu[k].utime - imu[k - 1].utime);
@@ -249,17 +244,6 @@ void CalibrationCheck::check_rotation() {
                      ? kAxesComplaint
                      : fmt::format("the camera-IMU rotation is wrong by {:.1f} degrees", angle * 180 / kPi);
   }
-}
-
-std::optional<CalibrationCheck::RotationError> CalibrationCheck::rotation_error() const {
-  if (pairs_ == 0) return std::nullopt;
-  Eigen::Matrix<double, 6, 6> H = H_turn_;
-  H.diagonal().head<3>().array() += 1e-2;
-  H.diagonal().tail<3>().array() += 1.0 / (kBiasSigma * kBiasSigma);
-  const Eigen::Matrix<double, 6, 6> covariance = H.ldlt().solve(Eigen::Matrix<double, 6, 6>::Identity());
-  const Eigen::Vector3d turn = (covariance * b_turn_).head<3>();
-  const Eigen::SelfAdjointEigenSolver<Eigen::Matrix3d> eigen(covariance.topLeftCorner<3, 3>());
-  return RotationError{turn, std::sqrt(eigen.eigenvalues()[2])};
 }
 
 }  // namespace orthonav::vio

@@ -13,7 +13,6 @@
 
 #include <cstdint>
 #include <map>
-#include <optional>
 #include <string>
 #include <vector>
 
@@ -52,18 +51,10 @@ class CalibrationCheck {
                    double pixel_sigma);
 
   // One frame: its features, and the IMU samples since the previous frame, both ends included.
-  void add(int64_t utime, const std::vector<TrackedFeature>& features, const std::vector<ImuSample>& imu);
+  void add(const std::vector<TrackedFeature>& features, const std::vector<ImuSample>& imu);
 
   // What is wrong, in words for the pilot; empty while nothing is known to be.
   const std::string& complaint() const { return complaint_; }
-
-  // The camera-IMU rotation's error as far as known: the turn of the camera that would mend it, rad in C, and one
-  // standard deviation of its worst direction; nullopt before the first pair.
-  struct RotationError {
-    Eigen::Vector3d turn;
-    double stddev;
-  };
-  std::optional<RotationError> rotation_error() const;
 
  private:
   void add_pair(const std::map<int64_t, Eigen::Vector3d>& now);

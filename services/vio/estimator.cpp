@@ -40,6 +40,7 @@ void Estimator::reset() {
   still_time_ = 0;
   error_time_ = 0;
   sunk_time_ = 0;
+  tried_utime_ = 0;
   seen_utime_ = 0;
   last_frame_utime_ = 0;
   next_frame_id_ = 0;
@@ -88,7 +89,7 @@ Estimator::Status Estimator::process(int64_t utime, const std::vector<TrackedFea
   } else {
     add_frame(utime, imu);
   }
-  add_observations(utime, features, imu);
+  add_observations(features, imu);
   watch_standstill(utime, features, imu);
   Frame& newest = *frames_.back();
   if (height && options_.use_altitude) {
@@ -150,8 +151,7 @@ void Estimator::add_frame(int64_t utime, const std::vector<ImuSample>& imu) {
   frames_.push_back(std::move(frame));
 }
 
-void Estimator::add_observations(int64_t utime, const std::vector<TrackedFeature>& features,
-                                 const std::vector<ImuSample>& imu) {
+void Estimator::add_observations(const std::vector<TrackedFeature>& features, const std::vector<ImuSample>& imu) {
   for (auto& [id, landmark] : landmarks_) landmark.tracked = false;
   Frame* newest = frames_.back().get();
   // How fast bearings move: by rotation as the gyroscope tells, by translation as they did before this image. A rate
@@ -174,7 +174,7 @@ void Estimator::add_observations(int64_t utime, const std::vector<TrackedFeature
   std::map<int64_t, Sight> seen;
   std::vector<double> u, v;
   for (const TrackedFeature& feature : features) {
-    Sight sight{utime, feature.ray, Eigen::Vector2d::Zero(), 0};
+    Sight sight{feature.ray, Eigen::Vector2d::Zero(), 0};
     const auto before = last_seen_.find(feature.id);
     if (before != last_seen_.end() && dt > 0) {
       constexpr double kNewest = 0.2;  // weight of the newest of many differences

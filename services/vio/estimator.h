@@ -155,7 +155,7 @@ class Estimator {
 
   // estimator.cpp
   void add_frame(int64_t utime, const std::vector<ImuSample>& imu);
-  void add_observations(int64_t utime, const std::vector<TrackedFeature>& features, const std::vector<ImuSample>& imu);
+  void add_observations(const std::vector<TrackedFeature>& features, const std::vector<ImuSample>& imu);
   void drop_newest();
   double parallax_to(const Frame& reference, int* common) const;
   void choose_keyframe();
@@ -165,7 +165,7 @@ class Estimator {
   double weight() const { return focal_ / options_.pixel_sigma; }
 
   // estimator_solve.cpp
-  void optimise(int iterations, double tolerance);
+  bool optimise(int iterations, double tolerance);  // whether it converged
   void choose_height_landmark(Frame& frame);
   NormalEquations normal_equations();
   void marginalise_oldest();
@@ -208,7 +208,6 @@ class Estimator {
   double gyro_bias_sigma_ = 0;
   bool gyro_bias_known_ = false;
   struct Sight {
-    int64_t utime;
     Eigen::Vector3d ray;
     Eigen::Vector2d drift;  // 1/s, of the ray by translation, averaged
     int differences;        // that went into it
@@ -226,6 +225,7 @@ class Estimator {
   Eigen::Vector3d still_gyro_ = Eigen::Vector3d::Zero();  // rad/s, mean of the last second
   int64_t next_frame_id_ = 0;
   int next_keyframe_id_ = 0;
+  int64_t tried_utime_ = 0;        // when a start was last tried
   int64_t seen_utime_ = 0;         // when enough landmarks were last in view
   int64_t last_frame_utime_ = 0;   // of the last frame that was judged; 0: none in this session
   double error_time_ = 0;          // s, for which camera and IMU have contradicted each other

@@ -72,7 +72,7 @@ void Estimator::choose_height_landmark(Frame& frame) {
   frame.height_landmark = middle->second;
 }
 
-void Estimator::optimise(int iterations, double tolerance) {
+bool Estimator::optimise(int iterations, double tolerance) {
   for (size_t k = 1; k < frames_.size(); ++k) {
     // The first-order bias correction holds for small changes only.
     const StateValues& state = frames_[k - 1]->state;
@@ -82,6 +82,7 @@ void Estimator::optimise(int iterations, double tolerance) {
     }
   }
   PoseManifold manifold;
+  DepthManifold depth_manifold;
   ceres::HuberLoss loss(options_.robust_width);
   ceres::Problem::Options problem_options;
   problem_options.manifold_ownership = ceres::DO_NOT_TAKE_OWNERSHIP;
@@ -160,6 +161,7 @@ void Estimator::optimise(int iterations, double tolerance) {
       }
     }
     if (added) {
+      if (status_ == Status::kInitialising) problem.SetManifold(&inverse_depths.back(), &depth_manifold);
       ordering->AddElementToGroup(&inverse_depths.back(), 0);
       solved.push_back(&landmark);
     } else {
@@ -173,6 +175,9 @@ void Estimator::optimise(int iterations, double tolerance) {
   options.initial_trust_region_radius = 1e6;
   options.max_num_iterations = iterations;
   options.function_tolerance = tolerance;
+  // Steps that go up for a while get through the bends of a start's valley (scale against tilt and the accelerometer's
+  // bias): 40 iterations where 200 without them stop half way, which looks like a start at half the scale.
+  options.use_nonmonotonic_steps = status_ == Status::kInitialising;
   options.num_threads = 1;
   options.logging_type = ceres::SILENT;
   ceres::Solver::Summary summary;
@@ -181,6 +186,7 @@ void Estimator::optimise(int iterations, double tolerance) {
   if (shared_.camera_free) extrinsics_ = shared_.state.extrinsics();
   time_offset[0] = std::clamp(time_offset[0], options_.time_offset - options_.max_time_offset,
                               options_.time_offset + options_.max_time_offset);
+  return summary.termination_type == ceres::CONVERGENCE;
 }
 
 // Takes a frame's observation out of a landmark that is still seen; a landmark that is anchored there is anchored at

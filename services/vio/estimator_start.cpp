@@ -12,6 +12,8 @@ namespace orthonav::vio {
 namespace {
 
 constexpr double kStartTolerance = 1e-9;
+constexpr int kStartIterations = 60;
+constexpr double kTryInterval = 0.2;  // s: a start is tried more often than its frames are kept
 
 }  // namespace
 
@@ -24,7 +26,7 @@ void Estimator::collect_for_start() {
     gyro_bias_known_ = true;
     while (frames_.size() > 1) frames_.erase(frames_.begin());
     newest.imu.reset();
-    newest.keyframe = true;
+    newest.keyframe = newest.at_rest = true;
     newest.state.bg() = gyro_bias_;
     for (auto it = landmarks_.begin(); it != landmarks_.end();) {
       Landmark& landmark = it->second;
@@ -61,9 +63,12 @@ void Estimator::collect_for_start() {
   }
   const double interval = 1e-6 * static_cast<double>(newest.utime - last.utime);
   newest.keyframe = interval > options_.init_interval - 1e-3 || parallax > options_.init_parallax;
-  if (!newest.keyframe) return;
-  if (static_cast<int>(frames_.size()) > options_.window) thin_out();
+  const bool due = 1e-6 * static_cast<double>(newest.utime - tried_utime_) > kTryInterval - 1e-3;
+  if (!newest.keyframe && !due) return;
+  tried_utime_ = newest.utime;
+  if (newest.keyframe && static_cast<int>(frames_.size()) > options_.window) thin_out();
   if (try_start()) {
+    newest.keyframe = true;
     status_ = Status::kTracking;
     reason_.clear();
     seen_utime_ = newest.utime;
@@ -121,6 +126,7 @@ bool Estimator::try_start() {
       frame->state = StateValues{};
       frame->state.bg() = gyro_bias_;
       frame->pose_fixed = frame->speed_bias_fixed = false;
+      frame->still_sigma.reset();
     }
     prior_ = {};
     // Rotations are needed for parallax: the gyroscope's, from the first frame on.
@@ -136,16 +142,25 @@ bool Estimator::try_start() {
   if (start.residual > options_.outlier_error) {
     return give_up(fmt::format("the motion does not fit the IMU ({:.1f} px)", start.residual));
   }
+  if (frames_.front()->at_rest) {
+    // A motion that begins from rest has no velocity to be found: so fast, in pixels, it may have begun unseen.
+    constexpr double kUnseen = 2.0;  // pixels/s
+    std::vector<double> depths;
+    for (const auto& [id, landmark] : landmarks_) {
+      if (landmark.has_depth) depths.push_back(1 / landmark.inverse_depth);
+    }
+    frames_.front()->still_sigma = 0.01 + kUnseen * median(depths) / focal_;
+  }
   const double gyro_sigma = gyro_bias_known_ ? gyro_bias_sigma_ : std::max(0.1, gyro_bias_sigma_);
   start_prior(before, gyro_sigma);
   for (const auto& frame : frames_) choose_height_landmark(*frame);
   // To the bottom: scale lies in a shallow direction of the cost.
-  optimise(40, kStartTolerance);
+  optimise(kStartIterations, kStartTolerance);
   // Position and yaw stay at the first frame; its attitude and biases have moved.
   start_prior(before, gyro_sigma);
   find_outliers();
   triangulate();
-  optimise(40, kStartTolerance);
+  const bool settled = optimise(kStartIterations, kStartTolerance);
   find_outliers();
 
   std::vector<double> errors;
@@ -165,6 +180,8 @@ bool Estimator::try_start() {
   if (!(sigma_scale < options_.init_scale_sigma)) {
     return give_up(fmt::format("not enough acceleration yet: scale is uncertain by {:.0f} %", 100 * sigma_scale));
   }
+  // Half way up its valley a start is at the wrong scale, and surer of it than at the right one.
+  if (!settled) return give_up("the motion is not settled yet");
   outliers_.clear();
   return true;
 }

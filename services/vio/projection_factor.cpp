@@ -33,6 +33,27 @@ bool PoseManifold::MinusJacobian(const double*, double* jacobian) const {
   return true;
 }
 
+bool DepthManifold::Plus(const double* x, const double* delta, double* x_plus_delta) const {
+  // 1 / x_new = 1 / x - delta / x^2, and not nearer than a tenth of what it was.
+  *x_plus_delta = *x / std::max(0.1, 1.0 - *delta / *x);
+  return true;
+}
+
+bool DepthManifold::PlusJacobian(const double*, double* jacobian) const {
+  *jacobian = 1;
+  return true;
+}
+
+bool DepthManifold::Minus(const double* y, const double* x, double* y_minus_x) const {
+  *y_minus_x = *x - *x * *x / *y;
+  return true;
+}
+
+bool DepthManifold::MinusJacobian(const double*, double* jacobian) const {
+  *jacobian = 1;
+  return true;
+}
+
 Bearings bearings_of(const Observation& anchor, const Observation& other) {
   return {anchor.ray, other.ray, anchor.rate, other.rate, anchor.frame->time_shift, other.frame->time_shift};
 }

@@ -23,6 +23,19 @@ class PoseManifold final : public ceres::Manifold {
   bool MinusJacobian(const double* x, double* jacobian) const override;
 };
 
+// Inverse depths moved as the depths they stand for: a step along which positions and depths grow alike leaves every
+// projection as it is, however long it is. A start needs that: its scale is far off and lies along a valley which is
+// curved for inverse depths, where a solver takes a hundred small steps and stops half way.
+class DepthManifold final : public ceres::Manifold {
+ public:
+  int AmbientSize() const override { return 1; }
+  int TangentSize() const override { return 1; }
+  bool Plus(const double* x, const double* delta, double* x_plus_delta) const override;
+  bool PlusJacobian(const double* x, double* jacobian) const override;
+  bool Minus(const double* y, const double* x, double* y_minus_x) const override;
+  bool MinusJacobian(const double* x, double* jacobian) const override;
+};
+
 // Two bearings of one landmark. A bearing belongs to its image's time; the frame's state belongs to image time plus the
 // time offset that its IMU samples were cut at. Where the offset is off by d, the bearing at the state's time is
 // ray - rate d.

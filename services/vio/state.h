@@ -76,6 +76,7 @@ struct Frame {
   StateValues published;                    // of a published keyframe: what was told of it
   std::optional<Eigen::Vector3d> at_start;  // m, position in W when the session started with it
   std::optional<double> still_sigma;        // m/s: its velocity is zero to this
+  bool at_rest = false;                     // the last one before a start that nothing had moved in
   std::optional<HeightMeasurement> height;  // as measured
   std::optional<int64_t> height_landmark;   // the landmark that stands for the ground under it
   StateValues state;

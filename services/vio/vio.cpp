@@ -12,6 +12,9 @@ namespace {
 
 constexpr size_t kMostPendingImages = 20;     // 2 s without IMU: older ones will never be used
 constexpr int64_t kProvenAfter = 20'000'000;  // microseconds of flight
+constexpr int64_t kStampProof = 500'000;      // microseconds, in which stamps prove themselves against others
+constexpr int64_t kLongestPause = 2'000'000;  // microseconds, of camera and altimeter, after which they have to
+constexpr int64_t kStepBack = 200'000;        // microseconds: more than the time offset may move
 
 ImuSample interpolate(const ImuSample& a, const ImuSample& b, int64_t utime) {
   const double s = static_cast<double>(utime - a.utime) / static_cast<double>(b.utime - a.utime);
@@ -31,7 +34,18 @@ Vio::Vio(const VioOptions& options, const CameraModel& camera, const Extrinsics&
       tracker_(camera, options.tracker),
       estimator_(options.estimator, extrinsics, options.imu, camera.focal()),
       calibration_(options.calibration, extrinsics, options.estimator.gravity, camera.focal(),
-                   options.estimator.pixel_sigma) {}
+                   options.estimator.pixel_sigma),
+      imu_order_(static_cast<int64_t>(1e6 * options.max_imu_gap), kStampProof),
+      image_order_(kLongestPause, kStampProof),
+      altitude_order_(kLongestPause, kStampProof) {}
+
+template <class Sample>
+void Vio::count(const char* sensor, const typename SampleOrder<Sample>::Taken& taken) {
+  const std::string name = sensor;
+  if (taken.out_of_order > 0) counters_[name + ".rejected.order"] += taken.out_of_order;
+  if (taken.in_future > 0) counters_[name + ".rejected.future"] += taken.in_future;
+  if (taken.stepped_back) ++counters_[name + ".stepped_back"];
+}
 
 void Vio::feed_imu(const ImuSample& sample) {
   ++counters_["imu.received"];
@@ -44,17 +58,18 @@ void Vio::feed_imu(const ImuSample& sample) {
     ++counters_["imu.rejected.implausible"];
     return;
   }
-  if (last_imu_ != 0 && sample.utime <= last_imu_) {
-    ++counters_["imu.rejected.order"];
-    return;
-  }
-  last_imu_ = sample.utime;
-  imu_.push_back(sample);
+  ImuSample marked = sample;
   if (sample.gyro.cwiseAbs().maxCoeff() >= options_.gyro_range ||
       sample.accel.cwiseAbs().maxCoeff() >= options_.accel_range) {
-    imu_.back().saturated = true;
+    marked.saturated = true;
     ++counters_["imu.saturated"];
   }
+  const auto taken = imu_order_.add(marked);
+  count<ImuSample>("imu", taken);
+  if (taken.stepped_back) {
+    std::erase_if(imu_, [&](const ImuSample& old) { return old.utime >= taken.samples.front().utime; });
+  }
+  imu_.insert(imu_.end(), taken.samples.begin(), taken.samples.end());
 }
 
 void Vio::feed_altitude(int64_t utime, double height, double stddev) {
@@ -65,12 +80,13 @@ void Vio::feed_altitude(int64_t utime, double height, double stddev) {
     ++counters_["altitude.rejected.implausible"];
     return;
   }
-  if (!altitudes_.empty() && utime <= altitudes_.back().utime) {
-    ++counters_["altitude.rejected.order"];
-    return;
+  const auto taken = altitude_order_.add({utime, height, std::isfinite(stddev) ? stddev : kUsualStddev});
+  count<Altitude>("altitude", taken);
+  if (taken.stepped_back) {
+    std::erase_if(altitudes_, [&](const Altitude& old) { return old.utime >= taken.samples.front().utime; });
   }
-  altitudes_.push_back({utime, height, std::isfinite(stddev) ? stddev : kUsualStddev});
-  if (altitudes_.size() > kMostAltitudes) altitudes_.pop_front();
+  altitudes_.insert(altitudes_.end(), taken.samples.begin(), taken.samples.end());
+  while (altitudes_.size() > kMostAltitudes) altitudes_.pop_front();
 }
 
 // Between the measurements before and after, which must be near.
@@ -108,14 +124,14 @@ void Vio::feed_image(int64_t utime, const cv::Mat& grey) {
     ++counters_["camera.rejected.size"];
     return;
   }
-  if (last_image_ != 0 && utime <= last_image_) {
-    ++counters_["camera.rejected.order"];
-    return;
-  }
-  last_image_ = utime;
   if (session_ == 0) session_ = static_cast<int>(utime / 1'000'000);
-  images_.push_back({utime, grey});
-  if (images_.size() > kMostPendingImages) {
+  const auto taken = image_order_.add({utime, grey});
+  count<PendingImage>("camera", taken);
+  if (taken.stepped_back) {
+    std::erase_if(images_, [&](const PendingImage& old) { return old.utime >= taken.samples.front().utime; });
+  }
+  images_.insert(images_.end(), taken.samples.begin(), taken.samples.end());
+  while (images_.size() > kMostPendingImages) {
     images_.pop_front();
     ++counters_["camera.rejected.no_imu"];
   }
@@ -155,11 +171,16 @@ std::optional<VioOutput> Vio::next() {
   while (!images_.empty()) {
     const auto offset = static_cast<int64_t>(std::llround(1e6 * estimator_.time_offset()));
     const PendingImage image = images_.front();
+    if (last_state_ - (image.utime + offset) > kStepBack) {
+      // What was flown after this image was not its time.
+      restart("the sensors' clock was set back");
+      last_state_ = 0;
+    }
     // By the IMU's clock; never before the last one, however the estimated offset has moved.
     const int64_t now = std::max(image.utime + offset, last_state_ + 1);
-    if (last_imu_ < now) break;
+    if (imu_.empty() || imu_.back().utime < now) break;
     images_.pop_front();
-    if (imu_.empty() || imu_.front().utime > now) {
+    if (imu_.front().utime > now) {
       ++counters_["camera.rejected.no_imu"];
       continue;
     }
@@ -183,7 +204,7 @@ std::optional<VioOutput> Vio::next() {
 
     const auto& tracked = tracker_.track(image.grey, R_cur_prev, estimator_.gyro_bias_known());
     const auto& features = with_row_delays(tracked);
-    calibration_.add(now, features, samples);
+    calibration_.add(features, samples);
     VioOutput output;
     output.utime = image.utime;
     output.num_tracked = static_cast<int>(features.size());

@@ -8,8 +8,8 @@
 // The first session is the Unix second of the first image: a process that is started anew in flight takes a larger
 // number than its predecessor, since no session is shorter than a second.
 // A calibration that cannot be right (CalibrationCheck) is reported and not flown. Bad input is refused, counted and
-// survived. Not thread-safe; deterministic: the outputs depend on the order of the samples of each sensor and not on
-// how the two are interleaved.
+// survived, wrong stamps too (SampleOrder). Not thread-safe; deterministic: the outputs depend on the order of the
+// samples of each sensor and not on how the two are interleaved, unless a clock is set back.
 #pragma once
 
 #include <cstdint>
@@ -21,6 +21,7 @@
 #include <opencv2/core.hpp>
 
 #include "services/vio/options.h"
+#include "services/vio/sample_order.h"
 
 namespace orthonav::vio {
 
@@ -45,11 +46,12 @@ class Vio {
  public:
   Vio(const VioOptions& options, const CameraModel& camera, const Extrinsics& extrinsics);
 
-  // Samples must be finite, plausible and in time order; others are counted and ignored.
+  // Samples must be finite, plausible and in time order; others are counted and ignored. A stamp that is ahead of the
+  // others does not outlive the half second in which they go on without it.
   void feed_imu(const ImuSample& sample);
 
   // `grey`: CV_8UC1 of the camera's size, kept without copying. Others, and images out of order, are counted and
-  // ignored.
+  // ignored; of stamps the same holds.
   void feed_image(int64_t utime, const cv::Mat& grey);
 
   // A height above ground, m; `stddev` NaN: unknown. Others than finite ones, and those out of order, are counted and
@@ -71,6 +73,9 @@ class Vio {
     int64_t utime;
     cv::Mat grey;
   };
+  // Counts what was refused under the sensor's name.
+  template <class Sample>
+  void count(const char* sensor, const typename SampleOrder<Sample>::Taken& taken);
   std::vector<ImuSample> take_imu(int64_t from, int64_t to, bool* gap);
   void restart(const std::string& reason);
   std::optional<HeightMeasurement> height_at(int64_t utime) const;
@@ -89,9 +94,11 @@ class Vio {
   int64_t session_began_ = 0;
   std::deque<Altitude> altitudes_;
   std::vector<TrackedFeature> delayed_;
+  SampleOrder<ImuSample> imu_order_;
+  SampleOrder<PendingImage> image_order_;
+  SampleOrder<Altitude> altitude_order_;
   std::deque<ImuSample> imu_;
   std::deque<PendingImage> images_;
-  int64_t last_imu_ = 0, last_image_ = 0;
   int64_t last_state_ = 0;  // the time of the newest state, by the IMU's clock; 0: none yet
   int session_ = 0;         // 0: before the first image
   std::string restart_reason_;

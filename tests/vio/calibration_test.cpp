@@ -26,7 +26,7 @@ Verdict judge(const std::vector<SimulatedFrame>& frames, const Extrinsics& extri
   for (const SimulatedFrame& frame : frames) {
     auto imu = frame.imu;
     for (ImuSample& sample : imu) change(sample);
-    check.add(frame.utime, frame.features, imu);
+    check.add(frame.features, imu);
     if (!check.complaint().empty()) return {frame.t, check.complaint()};
   }
   return {};

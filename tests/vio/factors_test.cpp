@@ -277,6 +277,53 @@ struct SmallProblem {
   }
 };
 
+TEST(DepthManifold, MinusUndoesPlusAndItsJacobianIsOne) {
+  const DepthManifold manifold;
+  for (const double x : {0.002, 0.01, 0.7}) {
+    for (const double delta : {-0.4 * x, 1e-3 * x, 0.6 * x}) {
+      double y = 0, back = 0;
+      ASSERT_TRUE(manifold.Plus(&x, &delta, &y));
+      ASSERT_TRUE(manifold.Minus(&y, &x, &back));
+      EXPECT_NEAR(back, delta, 1e-12 * x);
+    }
+    const double step = 1e-6 * x, step_back = -step;
+    double up = 0, down = 0, jacobian = 0;
+    manifold.Plus(&x, &step, &up);
+    manifold.Plus(&x, &step_back, &down);
+    manifold.PlusJacobian(&x, &jacobian);
+    EXPECT_NEAR((up - down) / (2 * step), jacobian, 1e-9);
+    const double far = 5 * x;
+    manifold.Plus(&x, &far, &up);
+    EXPECT_GT(up, 0);
+  }
+}
+
+// The reason for it: the step that doubles positions and depths, however long, leaves a projection as it is.
+TEST(DepthManifold, AStepOfScaleAloneChangesNoProjection) {
+  Random random;
+  Extrinsics extrinsics;
+  extrinsics.p_B_C.setZero();  // a lever arm would tell the scale
+  StateValues i = random_state(random), j = random_state(random);
+  i.p().setZero();
+  i.q().setIdentity();
+  j.q() = so3_exp(random.vector(0.05));
+  j.p() = Vector3d(1, 0.5, 0.2);
+  const double inverse_depth = 0.2;
+  const Bearings bearings{{0.1, -0.2, 1}, {0, 0, 1}, {0, 0}, {0, 0}, 0, 0};
+  const auto project = [&](const StateValues& at, double inverse) {
+    Eigen::Vector2d r;
+    EXPECT_TRUE(
+        ProjectionFactor::evaluate(bearings, 0, extrinsics, 1, i.pose.data(), at.pose.data(), inverse, &r, nullptr));
+    return r;
+  };
+  const double delta = -1.0 * inverse_depth;  // of a depth that doubles
+  double twice = 0;
+  DepthManifold().Plus(&inverse_depth, &delta, &twice);
+  StateValues moved_j = j;
+  moved_j.p() *= 2;
+  EXPECT_LT((project(moved_j, twice) - project(j, inverse_depth)).norm(), 1e-12);
+}
+
 TEST(PriorFactor, JacobiansMatchFiniteDifferencesAtTheFirstEstimate) {
   SmallProblem problem(3);
   NormalEquations equations(problem.pointers(), problem.shared);

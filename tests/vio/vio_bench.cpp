@@ -7,181 +7,25 @@
 //
 // One line per flight: position RMSE after alignment in yaw and translation (4-DoF) and by a similarity (Umeyama), the
 // scale of the latter, drift over 100 m of flight, sessions and why they ended, time to start, normalised error squared
-// (per dimension) of the motion between keyframes, time per frame.
-#include <chrono>
+// (per dimension) of the motion between keyframes, CPU time per frame.
 #include <cmath>
 #include <cstdio>
 #include <filesystem>
 #include <fstream>
 #include <limits>
 #include <map>
-#include <random>
-#include <sstream>
 
 #include <CLI/CLI.hpp>
-#include <opencv2/imgcodecs.hpp>
+#include <opencv2/core.hpp>
 
-#include "common/bus/channels.h"
-#include "common/camera/image_decode.h"
-#include "common/flightlog/flightlog.h"
-#include "common/geo/enu_frame.h"
 #include "common/math/align.h"
 #include "common/math/so3.h"
 #include "common/math/statistics.h"
-#include "orthonav/altitude_t.hpp"
-#include "orthonav/imu_t.hpp"
-#include "orthonav/truth_t.hpp"
-#include "services/vio/asl_setup.h"
-#include "services/vio/vio.h"
+#include "tests/vio/bench_run.h"
+#include "tests/vio/bench_starts.h"
 
 namespace orthonav::vio {
 namespace {
-
-struct Pose {
-  Eigen::Vector3d p;
-  Eigen::Quaterniond q;
-};
-
-struct Result {
-  std::vector<VioOutput> outputs;
-  std::vector<double> ms;
-  std::map<int64_t, Pose> truth;
-  std::map<int64_t, double> height;  // m above the surface
-  std::map<std::string, double> counters;
-};
-
-void run_pending(Vio& vio, Result& result, bool verbose) {
-  while (true) {
-    const auto start = std::chrono::steady_clock::now();
-    auto output = vio.next();
-    const double ms = std::chrono::duration<double, std::milli>(std::chrono::steady_clock::now() - start).count();
-    if (!output) break;
-    if (verbose && (output->keyframe || output->status != Estimator::Status::kTracking)) {
-      const auto& s = output->state;
-      std::printf(
-          "%.2f session %d status %d tracked %d features %zu h %.2f v %.2f %.2f %.2f ba %.3f %.3f %.3f bg %.4f %.4f "
-          "%.4f %.1f ms %s\n",
-          1e-6 * static_cast<double>(output->utime), output->session, static_cast<int>(output->status),
-          output->num_tracked, output->keyframe ? output->keyframe->features.size() : 0, output->height_above_ground,
-          s.v().x(), s.v().y(), s.v().z(), s.ba().x(), s.ba().y(), s.ba().z(), s.bg().x(), s.bg().y(), s.bg().z(), ms,
-          output->reason.c_str());
-    }
-    result.outputs.push_back(*output);
-    result.ms.push_back(ms);
-  }
-}
-
-// Feeds a log to the odometry, all time stamps later by `later` (microseconds); returns the last of them.
-int64_t feed_log(const std::filesystem::path& file, Vio& vio, Result& result, double duration, bool verbose,
-                 double begin, int64_t later) {
-  LogReader reader(file);
-  std::optional<EnuFrame> frame;
-  int64_t first = 0, last = 0;
-  while (const auto event = reader.next()) {
-    if (first == 0) first = event->utime;
-    const double age = 1e-6 * static_cast<double>(event->utime - first) - begin;
-    if (age > duration) break;
-    if (age < 0) continue;
-    last = std::max(last, event->utime + later);
-    if (event->channel == channel::kImu) {
-      if (const auto imu = event->decode<imu_t>()) {
-        ImuSample sample;
-        sample.utime = imu->utime + later;
-        sample.gyro = Eigen::Map<const Eigen::Vector3d>(imu->angular_rate);
-        sample.accel = Eigen::Map<const Eigen::Vector3d>(imu->specific_force);
-        vio.feed_imu(sample);
-      }
-    } else if (event->channel == channel::kCamera) {
-      if (const auto image = event->decode<image_t>()) {
-        const DecodedImage decoded = decode_image(*image);
-        if (decoded.ok()) vio.feed_image(image->utime + later, decoded.grey);
-      }
-    } else if (event->channel == channel::kAltitude) {
-      if (const auto altitude = event->decode<altitude_t>()) {
-        vio.feed_altitude(altitude->utime + later, altitude->height_above_ground, altitude->stddev);
-      }
-    } else if (event->channel == channel::kTruth) {
-      if (const auto truth = event->decode<truth_t>()) {
-        const Geodetic position{truth->latitude_deg, truth->longitude_deg, truth->ellipsoidal_height};
-        if (!frame) frame.emplace(position);
-        const double* q = truth->q_ENU_B;
-        result.truth[truth->utime + later] = {frame->to_enu(position), {q[0], q[1], q[2], q[3]}};
-        result.height[truth->utime + later] = truth->height_above_ground;
-      }
-    }
-    run_pending(vio, result, verbose);
-  }
-  result.counters = vio.counters();
-  return last;
-}
-
-Result run_log(const std::filesystem::path& file, const VioSetup& setup, double duration, bool verbose,
-               double begin = 0) {
-  Vio vio(setup.options, setup.camera, setup.extrinsics);
-  Result result;
-  feed_log(file, vio, result, duration, verbose, begin, 0);
-  return result;
-}
-
-std::vector<std::vector<std::string>> read_csv(const std::filesystem::path& file) {
-  std::ifstream in(file);
-  std::vector<std::vector<std::string>> rows;
-  for (std::string line; std::getline(in, line);) {
-    if (line.empty() || line[0] == '#') continue;
-    while (!line.empty() && (line.back() == '\r' || line.back() == '\n')) line.pop_back();
-    std::vector<std::string> cells;
-    std::stringstream stream(line);
-    for (std::string cell; std::getline(stream, cell, ',');) cells.push_back(cell);
-    rows.push_back(cells);
-  }
-  return rows;
-}
-
-Result run_asl(const std::filesystem::path& folder, const VioOptions& base, double duration, bool verbose) {
-  const auto mav = folder / "mav0";
-  const VioSetup setup = load_asl_setup(folder, base);
-  Vio vio(setup.options, setup.camera, setup.extrinsics);
-  Result result;
-  const auto images = read_csv(mav / "cam0/data.csv"), samples = read_csv(mav / "imu0/data.csv");
-  for (const auto& row : read_csv(mav / "state_groundtruth_estimate0/data.csv")) {
-    result.truth[std::stoll(row[0]) / 1000] = {
-        {std::stod(row[1]), std::stod(row[2]), std::stod(row[3])},
-        {std::stod(row[4]), std::stod(row[5]), std::stod(row[6]), std::stod(row[7])}};
-  }
-  size_t next_image = 0;
-  const int64_t first = std::stoll(images.front()[0]) / 1000;
-  for (const auto& row : samples) {
-    ImuSample sample;
-    sample.utime = std::stoll(row[0]) / 1000;
-    if (1e-6 * static_cast<double>(sample.utime - first) > duration) break;
-    for (int k = 0; k < 3; ++k) {
-      sample.gyro[k] = std::stod(row[static_cast<size_t>(1 + k)]);
-      sample.accel[k] = std::stod(row[static_cast<size_t>(4 + k)]);
-    }
-    vio.feed_imu(sample);
-    while (next_image < images.size() && std::stoll(images[next_image][0]) / 1000 <= sample.utime) {
-      vio.feed_image(std::stoll(images[next_image][0]) / 1000,
-                     cv::imread((mav / "cam0/data" / images[next_image][1]).string(), cv::IMREAD_GRAYSCALE));
-      ++next_image;
-      run_pending(vio, result, verbose);
-    }
-    run_pending(vio, result, verbose);
-  }
-  result.counters = vio.counters();
-  return result;
-}
-
-// Truth at a time, between its samples.
-std::optional<Pose> truth_at(const std::map<int64_t, Pose>& truth, int64_t utime) {
-  auto after = truth.lower_bound(utime);
-  if (after == truth.end()) return std::nullopt;
-  if (after->first == utime) return after->second;
-  if (after == truth.begin()) return std::nullopt;
-  const auto before = std::prev(after);
-  if (after->first - before->first > 200000) return std::nullopt;
-  const double s = static_cast<double>(utime - before->first) / static_cast<double>(after->first - before->first);
-  return Pose{(1 - s) * before->second.p + s * after->second.p, before->second.q.slerp(s, after->second.q)};
-}
 
 double rmse(const Similarity& fit, const std::vector<Eigen::Vector3d>& from, const std::vector<Eigen::Vector3d>& to) {
   std::vector<double> errors;
@@ -217,7 +61,7 @@ void report(const std::string& name, const Result& result, const std::filesystem
   std::map<int, std::vector<Eigen::Quaterniond>> attitudes, true_attitudes;
   std::optional<Keyframe> last_keyframe;
   Pose last_keyframe_truth{Eigen::Vector3d::Zero(), Eigen::Quaterniond::Identity()};
-  std::vector<double> ms, drift, nees;
+  std::vector<double> ms, drift, nees, nees_position, nees_rotation;
   int64_t start = 0;
   for (size_t i = 0; i < result.outputs.size(); ++i) {
     const VioOutput& output = result.outputs[i];
@@ -238,7 +82,11 @@ void report(const std::string& name, const Result& result, const std::filesystem
       Eigen::Matrix<double, 6, 1> error;
       error << a.q().conjugate() * (b.p() - a.p()) - true_a.q.conjugate() * (truth->p - true_a.p),
           so3_log((true_a.q.conjugate() * truth->q).conjugate() * (a.q().conjugate() * b.q()));
-      nees.push_back(error.dot(keyframe.relative_covariance.ldlt().solve(error)) / 6);
+      const auto& covariance = keyframe.relative_covariance;
+      nees.push_back(error.dot(covariance.ldlt().solve(error)) / 6);
+      nees_position.push_back(error.head<3>().dot(covariance.topLeftCorner<3, 3>().ldlt().solve(error.head<3>())) / 3);
+      nees_rotation.push_back(error.tail<3>().dot(covariance.bottomRightCorner<3, 3>().ldlt().solve(error.tail<3>())) /
+                              3);
     }
     last_keyframe = keyframe;
     last_keyframe_truth = *truth;
@@ -279,11 +127,12 @@ void report(const std::string& name, const Result& result, const std::filesystem
     }
   }
   std::printf(
-      "%-28s sessions %zu  start %.1f s%s  drift/100m %.2f %%  NEES of a keyframe's motion median %.2f mean %.2f  ms "
+      "%-28s sessions %zu  start %.1f s%s  drift/100m %.2f %%  NEES of a keyframe's motion median %.2f mean %.2f "
+      "(position %.2f, rotation %.2f)  ms "
       "median %.1f p99 %.1f  time offset %.2f ms%s\n",
       name.c_str(), sessions.size(), 1e-6 * static_cast<double>(start - result.outputs.front().utime),
-      per_session.c_str(), 100 * median(drift), median(nees), mean(nees), quantile(ms, 0.5), quantile(ms, 0.99),
-      1e3 * result.outputs.back().time_offset, restarts(result).c_str());
+      per_session.c_str(), 100 * median(drift), median(nees), mean(nees), median(nees_position), median(nees_rotation),
+      quantile(ms, 0.5), quantile(ms, 0.99), 1e3 * result.outputs.back().time_offset, restarts(result).c_str());
   if (!dump.empty()) {
     std::ofstream out(dump);
     for (const VioOutput& output : result.outputs) {
@@ -299,13 +148,14 @@ void report(const std::string& name, const Result& result, const std::filesystem
 
 // The log again and again, as one long flight: what a frame costs and what the process holds, each time. Where the log
 // begins anew the camera and the IMU jump, and the odometry has to find out and restart.
-void report_loops(const std::filesystem::path& file, const VioSetup& setup, int loops, double duration) {
+void report_loops(const BenchInput& input, const BenchRun& run, int loops) {
+  const VioSetup& setup = input.setup;
   Vio vio(setup.options, setup.camera, setup.extrinsics);
   int64_t later = 0;
   for (int n = 0; n < loops; ++n) {
     Result result;
     const int64_t first = later;
-    const int64_t last = feed_log(file, vio, result, duration, false, 0, later);
+    const int64_t last = feed_log(input.path, run, later, vio, result);
     const int64_t begun = result.outputs.empty() ? last : result.outputs.front().utime;
     later = first + (last - begun) + 100'000;
     long pages = 0, resident = 0;
@@ -318,48 +168,6 @@ void report_loops(const std::filesystem::path& file, const VioSetup& setup, int 
   }
 }
 
-// How a session starts at many moments of a flight: time to the first state, and how far its height (that is, its
-// scale) is from the truth, then and five seconds later.
-void report_starts(const std::filesystem::path& file, const VioSetup& setup, int starts, double last) {
-  std::vector<double> times, errors, later;
-  int failed = 0;
-  std::mt19937 generator(1);
-  for (int n = 0; n < starts; ++n) {
-    const double begin = std::uniform_real_distribution<double>(0, last)(generator);
-    const Result result = run_log(file, setup, 20, false, begin);
-    double time = -1, error = 0, after = 0;
-    int64_t start = 0;
-    for (const VioOutput& output : result.outputs) {
-      if (output.status == Estimator::Status::kInitialising) continue;
-      const auto height = result.height.lower_bound(output.utime);
-      if (height == result.height.end()) break;
-      const double off = output.height_above_ground / height->second - 1;
-      if (start == 0) {
-        start = output.utime;
-        time = 1e-6 * static_cast<double>(start - result.outputs.front().utime);
-        error = off;
-      }
-      after = off;
-      if (output.utime > start + 5000000) break;
-    }
-    std::printf("start at %.1f s: took %.1f s, height off by %.1f %%, five seconds later %.1f %%, sessions %d%s\n",
-                begin, time, 100 * error, 100 * after, result.outputs.back().session,
-                time < 0 ? ("  " + result.outputs.back().reason).c_str() : "");
-    if (time < 0) {
-      ++failed;
-      continue;
-    }
-    times.push_back(time);
-    errors.push_back(std::abs(error));
-    later.push_back(std::abs(after));
-  }
-  std::printf(
-      "%d starts, %d failed; time median %.1f p90 %.1f s; scale error median %.1f %% p90 %.1f %%, later median %.1f %% "
-      "p90 %.1f %%\n",
-      starts, failed, median(times), quantile(times, 0.9), 100 * median(errors), 100 * quantile(errors, 0.9),
-      100 * median(later), 100 * quantile(later, 0.9));
-}
-
 }  // namespace
 }  // namespace orthonav::vio
 
@@ -368,36 +176,40 @@ int main(int argc, char** argv) {
   CLI::App app{"Runs the odometry over recorded flights and prints its accuracy"};
   std::filesystem::path config, dump;
   std::vector<std::filesystem::path> inputs;
-  bool asl = false, verbose = false;
-  double duration = 1e9, starts_until = 90;
-  int starts = 0;
+  bool asl = false;
+  vio::BenchRun run;
+  vio::StartOptions start;
   int loops = 0;
+  start.count = 0;
   app.add_option("--loops", loops, "instead, run each flight log so many times as one long flight");
-  app.add_option("--starts", starts, "instead, start at this many random moments of a flight log");
-  app.add_option("--starts-until", starts_until, "the last of these moments, s");
+  app.add_option("--starts", start.count, "instead, start at this many random moments of each input");
+  app.add_option("--starts-until", start.until, "the last of these moments, s");
+  app.add_option("--starts-seed", start.seed, "of these moments");
   app.add_option("--config", config, "configuration folder")->required();
   app.add_flag("--asl", asl, "the inputs are EuRoC/ASL folders");
-  app.add_flag("-v,--verbose", verbose, "a line per keyframe");
-  app.add_option("--duration", duration, "seconds of each input to run");
+  app.add_flag("-v,--verbose", run.verbose, "a line per keyframe");
+  app.add_option("--begin", run.begin, "seconds of each input to pass over");
+  app.add_option("--duration", run.duration, "seconds of each input to run");
+  app.add_option("--image-noise", run.image_noise, "noise added to the images, grey levels, 1 sigma");
   app.add_option("--dump", dump, "estimate and truth of the last input, as text");
   app.add_option("inputs", inputs, "flight logs or ASL folders")->required();
   CLI11_PARSE(app, argc, argv);
   cv::setNumThreads(1);
+  start.image_noise = run.image_noise;
   try {
     const vio::VioSetup setup = vio::load_setup(config);
-    for (const auto& input : inputs) {
+    std::vector<vio::Start> starts;
+    for (const auto& path : inputs) {
+      const vio::BenchInput input{path, asl, setup};
       if (loops > 0) {
-        vio::report_loops(input, setup, loops, duration);
-        continue;
+        vio::report_loops(input, run, loops);
+      } else if (start.count > 0) {
+        vio::run_starts(input, start, starts);
+      } else {
+        vio::report(path.filename().string(), vio::run_input(input, run), dump);
       }
-      if (starts > 0) {
-        vio::report_starts(input, setup, starts, starts_until);
-        continue;
-      }
-      const vio::Result result =
-          asl ? vio::run_asl(input, setup.options, duration, verbose) : vio::run_log(input, setup, duration, verbose);
-      vio::report(input.filename().string(), result, dump);
     }
+    vio::print_summary(starts);
   } catch (const std::exception& error) {
     std::fprintf(stderr, "vio_bench: %s\n", error.what());
     return 1;

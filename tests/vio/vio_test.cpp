@@ -174,6 +174,61 @@ TEST(Vio, BridgesAShortImuGapAndRestartsAfterALongOne) {
   EXPECT_EQ(feeder.outputs.back().status, Estimator::Status::kTracking);
 }
 
+// Three samples from the future, of the IMU or of the camera, as a glitch of a clock makes them.
+TEST(Vio, StampsInTheFutureCostNeitherTheSessionNorASecond) {
+  for (const double ahead : {0.3, 5.0, 3600.0}) {
+    Vio vio = make_vio();
+    Feeder feeder;
+    feeder.run(vio, 0, 10);
+    ASSERT_EQ(feeder.outputs.back().status, Estimator::Status::kTracking);
+    for (int k = 1; k <= 3; ++k) {
+      ImuSample sample = flight().imu(10, 9.81);
+      sample.utime += static_cast<int64_t>(1e6 * ahead) + 5000 * k;
+      vio.feed_imu(sample);
+      vio.feed_image(sample.utime, ground().picture(flight(), 10));
+    }
+    const size_t before = feeder.outputs.size();
+    feeder.run(vio, 10.005, 13);
+    ASSERT_GE(feeder.outputs.size(), before + 29) << ahead;
+    EXPECT_EQ(feeder.outputs.back().status, Estimator::Status::kTracking) << ahead;
+    EXPECT_EQ(vio.session(), kFirstSession) << ahead;
+    EXPECT_LT(feeder.outputs[before].utime, to_utime(10.2)) << ahead;
+    if (ahead > 1) {
+      EXPECT_EQ(vio.counters().at("imu.rejected.future"), 3) << ahead;
+      EXPECT_EQ(vio.counters().at("camera.rejected.future"), 3) << ahead;
+    }
+  }
+}
+
+TEST(Vio, StartsAlthoughTheFirstStampsWereInTheFuture) {
+  Vio vio = make_vio();
+  ImuSample sample = flight().imu(0, 9.81);
+  for (int k = 1; k <= 3; ++k) {
+    sample.utime = to_utime(500 + 0.005 * k);
+    vio.feed_imu(sample);
+  }
+  Feeder feeder;
+  feeder.run(vio, 0, 12);
+  ASSERT_FALSE(feeder.outputs.empty());
+  EXPECT_LT(feeder.outputs.front().utime, to_utime(1.0));
+  EXPECT_EQ(vio.counters().at("imu.stepped_back"), 1);
+  EXPECT_EQ(feeder.outputs.back().status, Estimator::Status::kTracking);
+}
+
+TEST(Vio, StartsANewSessionWhenAllClocksAreSetBack) {
+  Vio vio = make_vio();
+  Feeder feeder;
+  feeder.run(vio, 20, 30);
+  ASSERT_EQ(feeder.outputs.back().status, Estimator::Status::kTracking);
+  const int session = vio.session();
+  const size_t before = feeder.outputs.size();
+  feeder.run(vio, 0, 12);
+  ASSERT_GT(feeder.outputs.size(), before + 110);
+  EXPECT_NE(feeder.outputs[before].reason.find("set back"), std::string::npos) << feeder.outputs[before].reason;
+  EXPECT_EQ(vio.session(), session + 1);
+  EXPECT_EQ(feeder.outputs.back().status, Estimator::Status::kTracking);
+}
+
 TEST(TwoPoint, FindsOutliersOnAPlaneAndKeepsEverythingAtRest) {
   std::mt19937 generator(1);
   std::uniform_real_distribution<double> uniform(-1, 1);
