@@ -1,6 +1,7 @@
 # One function per kind of target, so that each part's CMakeLists.txt is a few lines.
 
 option(ORTHONAV_WARNINGS_AS_ERRORS "Treat compiler warnings as errors" OFF)
+option(ORTHONAV_FUZZ "Build the libFuzzer targets (clang only)" OFF)
 set(ORTHONAV_SANITIZE "" CACHE STRING "Sanitizers to build with, as for -fsanitize=")
 
 if(NOT CMAKE_BUILD_TYPE)
@@ -15,6 +16,10 @@ endif()
 if(ORTHONAV_SANITIZE)
   add_compile_options(-fsanitize=${ORTHONAV_SANITIZE} -fno-omit-frame-pointer -fno-sanitize-recover=all)
   add_link_options(-fsanitize=${ORTHONAV_SANITIZE})
+endif()
+
+if(ORTHONAV_FUZZ)
+  add_compile_options(-fsanitize=fuzzer-no-link)
 endif()
 
 function(orthonav_compile_options target)

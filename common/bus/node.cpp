@@ -22,6 +22,7 @@
 #include "common/bus/channels.h"
 #include "common/bus/clock_skew.h"
 #include "common/bus/process_usage.h"
+#include "common/bus/seal.h"
 #include "common/bus/supervisor.h"
 
 namespace orthonav {
@@ -45,6 +46,11 @@ void on_signal(int) {
 std::string host_name() {
   char name[256] = {};
   return gethostname(name, sizeof(name) - 1) == 0 ? name : "unknown";
+}
+
+int64_t wall_time() {
+  return std::chrono::duration_cast<std::chrono::microseconds>(std::chrono::system_clock::now().time_since_epoch())
+      .count();
 }
 
 // The kernel clamps a receive buffer to net.core.rmem_max without a word, and LCM does not show its socket. A
@@ -104,6 +110,9 @@ struct Node::Impl {
     Node* node = nullptr;
     size_t waiting = 0;   // guarded by queue_mutex
     int64_t dropped = 0;  // guarded by queue_mutex
+    int64_t refused = 0;  // for their seal; guarded by queue_mutex, as the next
+    std::string refusal;  // of the last one
+    int64_t reported_refused = 0;
     int64_t reported = 0;
     double slowest_ms = 0;  // since the last heartbeat, from the socket to the end of the handler
 
@@ -136,6 +145,8 @@ struct Node::Impl {
   Supervisor supervisor;
   std::vector<std::unique_ptr<Subscription>> subscriptions;
   std::vector<Timer> timers;
+  std::optional<Sealer> sealer;      // with a key
+  std::optional<SealChecker> seals;  // likewise; only for the receive thread
 
   std::mutex queue_mutex;
   std::condition_variable queue_filled;
@@ -166,6 +177,16 @@ struct Node::Impl {
 
   void enqueue(Subscription& subscription, const lcm::ReceiveBuffer& buffer) {
     const auto* bytes = static_cast<const uint8_t*>(buffer.data);
+    // Here, before the queue: a forged message must not take the place of a true one.
+    if (seals) {
+      std::string refusal = seals->refusal(subscription.channel, wall_time(), bytes, buffer.data_size);
+      if (!refusal.empty()) {
+        const std::lock_guard lock(queue_mutex);
+        ++subscription.refused;
+        subscription.refusal = std::move(refusal);
+        return;
+      }
+    }
     Message message{&subscription, {bytes, bytes + buffer.data_size}, Clock::now()};
     {
       const std::lock_guard lock(queue_mutex);
@@ -186,10 +207,18 @@ struct Node::Impl {
 
   void report_drops() {
     for (const auto& subscription : subscriptions) {
-      int64_t dropped = 0;
+      int64_t dropped = 0, refused = 0;
+      std::string refusal;
       {
         const std::lock_guard lock(queue_mutex);
         dropped = subscription->dropped;
+        refused = subscription->refused;
+        if (refused != subscription->reported_refused) refusal = subscription->refusal;
+      }
+      if (!refusal.empty()) {
+        health.reject("seal." + subscription->channel, fmt::format("{}: a message {}", subscription->channel, refusal));
+        health.set("rejected.seal." + subscription->channel, static_cast<double>(refused));
+        subscription->reported_refused = refused;
       }
       if (dropped == subscription->reported) continue;
       health.reject("overrun." + subscription->channel,
@@ -245,6 +274,13 @@ Node::Node(const NodeOptions& options) : impl_(std::make_unique<Impl>()) {
                     "224.0.0.0/4 dev lo)",
                     url));
   }
+  std::string key_file = options.key_file;
+  if (const char* named = std::getenv("ORTHONAV_BUS_KEY"); key_file.empty() && named != nullptr) key_file = named;
+  if (!key_file.empty()) {
+    const BusKey key = read_bus_key(key_file);
+    impl_->sealer.emplace(key);
+    impl_->seals.emplace(key);
+  }
   impl_->start = now();
   if (url.rfind("udpm", 0) == 0) {
     const int granted = granted_receive_buffer(options.receive_buffer);
@@ -293,6 +329,16 @@ void Node::subscribe_raw(const std::string& channel, Delivery delivery, size_t d
   impl_->subscriptions.push_back(std::move(subscription));
 }
 
+bool Node::sealing() const {
+  return impl_->sealer.has_value();
+}
+
+void Node::publish_sealed(const std::string& channel, std::vector<uint8_t> message) {
+  impl_->sealer->seal(channel, now(), message);
+  count_published(channel, static_cast<int>(message.size()),
+                  lcm().publish(channel, message.data(), static_cast<unsigned>(message.size())));
+}
+
 void Node::count_published(const std::string& channel, int size, int result) {
   if (result != 0) {
     impl_->health.reject("unsent." + channel,
@@ -308,8 +354,7 @@ void Node::every(std::chrono::microseconds period, std::function<void()> handler
 
 int64_t Node::now() const {
   if (!live()) return impl_->replay_now;
-  return std::chrono::duration_cast<std::chrono::microseconds>(std::chrono::system_clock::now().time_since_epoch())
-      .count();
+  return wall_time();
 }
 
 void Node::advance(int64_t utime) {
@@ -398,6 +443,9 @@ void Node::publish_health() {
   if (state == Health::State::kOk && time < health.reject_until_) {
     state = Health::State::kDegraded;
     message.message = health.reject_message_;
+  } else if (state == Health::State::kStarting && time < health.reject_until_) {
+    // What is refused may well be what it waits for.
+    message.message += (message.message.empty() ? "" : "; ") + health.reject_message_;
   } else if (state == Health::State::kOk && !impl_->buffer_message.empty()) {
     state = Health::State::kDegraded;
     message.message = impl_->buffer_message;
@@ -415,7 +463,14 @@ void Node::publish_health() {
   }
   message.num_counters = static_cast<int32_t>(message.counters.size());
   impl_->published_state = health.state_;
-  lcm().publish(channel::kHealth, &message);
+  if (sealing()) {
+    std::vector<uint8_t> bytes(static_cast<size_t>(message.getEncodedSize()));
+    message.encode(bytes.data(), 0, static_cast<int>(bytes.size()));
+    impl_->sealer->seal(channel::kHealth, time, bytes);
+    lcm().publish(channel::kHealth, bytes.data(), static_cast<unsigned>(bytes.size()));
+  } else {
+    lcm().publish(channel::kHealth, &message);
+  }
   if (live()) impl_->supervisor.status(message.message.empty() ? "running" : message.message);
 }
 

@@ -6,6 +6,8 @@
 //   replayed  Node(options, shared): several nodes in one process on one memq:// LCM. Handlers run in the order
 //             of publication, timers by the time of the data, and Stopwatch reads 0, so a replay repeats bit for bit.
 //
+// With a key (seal.h), a live node seals what it sends and refuses what is not sealed; a replayed one does neither.
+//
 // A message whose utime is more than 30 s from those before it on its channel is refused (time_guard.h). Undecodable
 // messages, these, messages lost by a full queue and handlers that throw are counted and shown in the
 // heartbeat (health_t on channel HEALTH, once a second); they never end the process.
@@ -18,6 +20,8 @@
 #include <memory>
 #include <string>
 #include <type_traits>
+#include <utility>
+#include <vector>
 
 #include <lcm/lcm-cpp.hpp>
 
@@ -30,6 +34,7 @@ struct NodeOptions {
   std::string service;                   // name in the heartbeat
   std::string lcm_url = "";              // empty: LCM_DEFAULT_URL, else udpm://239.255.76.67:7667?ttl=0
   int receive_buffer = 4 * 1024 * 1024;  // bytes asked of the kernel (SO_RCVBUF) unless the URL says otherwise
+  std::string key_file = "";             // of the authenticated mode (seal.h); empty: ORTHONAV_BUS_KEY, else none
 };
 
 // The URL a node with these options joins: with the default bus and the receive buffer filled in.
@@ -68,7 +73,7 @@ class Health {
 
 class Node {
  public:
-  // Live. Throws std::runtime_error naming the URL when the bus cannot be joined.
+  // Live. Throws std::runtime_error naming the URL when the bus cannot be joined, or the key file when it is no key.
   explicit Node(const NodeOptions& options);
   // Replayed, on a shared memq:// instance that outlives the node.
   Node(const NodeOptions& options, lcm::LCM& shared);
@@ -96,6 +101,12 @@ class Node {
   // Sends a message. Failures are counted in the health.
   template <class Msg>
   void publish(const std::string& channel, const Msg& message) {
+    if (sealing()) {
+      std::vector<uint8_t> bytes(static_cast<size_t>(message.getEncodedSize()));
+      message.encode(bytes.data(), 0, static_cast<int>(bytes.size()));
+      publish_sealed(channel, std::move(bytes));
+      return;
+    }
     count_published(channel, message.getEncodedSize(), lcm().publish(channel, &message));
   }
 
@@ -121,6 +132,8 @@ class Node {
   enum class Handled { kYes, kUndecodable, kFromAnotherTime };
   using RawHandler = std::function<Handled(const void* data, size_t size)>;
   void subscribe_raw(const std::string& channel, Delivery delivery, size_t depth, RawHandler handler);
+  bool sealing() const;
+  void publish_sealed(const std::string& channel, std::vector<uint8_t> message);
   void count_published(const std::string& channel, int size, int result);
   void publish_health();
   lcm::LCM& lcm();

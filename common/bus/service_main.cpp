@@ -19,6 +19,10 @@ int service_main(int argc, char** argv, const std::string& service, const std::s
       ->required()
       ->check(CLI::ExistingDirectory);
   app.add_option("--lcm-url", options.lcm_url, "bus to join (default: LCM_DEFAULT_URL, else this machine only)");
+  app.add_option(
+      "--bus-key", options.key_file,
+      "file with the bus's key: seal what is sent, refuse what is not sealed (default: ORTHONAV_BUS_KEY, else "
+      "neither)");
   add_options(app);
   CLI11_PARSE(app, argc, argv);
   // Standard output is for results; what a service says goes to standard error.

@@ -5,6 +5,7 @@
 #include <cmath>
 #include <cstdlib>
 #include <ctime>
+#include <limits>
 #include <numbers>
 
 #include <Eigen/Eigenvalues>
@@ -17,6 +18,13 @@ constexpr double kKnotsPerMetrePerSecond = 3600.0 / 1852.0;
 constexpr double kDegPerRad = 180.0 / std::numbers::pi;
 // Dilution of precision is a ratio; readers turn it into metres by about this much for a plain receiver.
 constexpr double kMetresPerDilution = 5.0;
+
+// What no aircraft reports. A sentence has no room for it and a reader no use: it is no position, no velocity, no time.
+constexpr double kHighest = 1e5;                      // m above or below the ellipsoid
+constexpr double kFastest = 1e4;                      // m/s
+constexpr double kLargestVariance = 1e10;             // m^2
+constexpr double kLargestSeparation = 1e4;            // m
+constexpr int64_t kLastTime = 4'102'444'800'000'000;  // microseconds: the year 2100
 
 struct Clock {
   std::string time, date;  // hhmmss.sss, ddmmyy
@@ -40,6 +48,23 @@ std::string angle(double degrees, int width, char positive, char negative) {
   return fmt::format("{:0{}}{:08.5f},{}", whole, width, minutes, degrees < 0 ? negative : positive);
 }
 
+// The report with all that is absurd in it taken for unknown.
+Report checked(const Report& given, const NmeaOptions& options) {
+  Report report = given;
+  const Eigen::Vector3d variances = report.covariance.diagonal();
+  // Written so that what is not a number fails.
+  const bool on_earth = std::abs(report.latitude_deg) <= 90 && std::abs(report.longitude_deg) <= 360 &&
+                        std::abs(report.ellipsoidal_height) <= kHighest &&
+                        std::abs(options.geoid_separation) <= kLargestSeparation;
+  const bool bounded = report.covariance.allFinite() && variances.minCoeff() >= 0 &&
+                       report.covariance.cwiseAbs().maxCoeff() <= kLargestVariance;
+  if (!on_earth || !bounded) report.quality = Quality::kNone;
+  if (!(report.velocity_enu.cwiseAbs().maxCoeff() <= kFastest) || !report.velocity_enu.allFinite())
+    report.velocity_enu.setConstant(std::numeric_limits<double>::quiet_NaN());
+  report.utime = std::clamp<int64_t>(report.utime, 0, kLastTime);
+  return report;
+}
+
 std::string position(const Report& report) {
   if (report.quality == Quality::kNone) return ",,,";
   const double longitude = std::remainder(report.longitude_deg, 360.0);
@@ -54,7 +79,8 @@ std::string sentence(const std::string& body) {
   return fmt::format("${}*{:02X}\r\n", body, checksum);
 }
 
-std::string gga(const Report& report, const NmeaOptions& options) {
+std::string gga(const Report& given, const NmeaOptions& options) {
+  const Report report = checked(given, options);
   std::string body = fmt::format("{}GGA,{},{},", options.talker, clock_of(report.utime).time, position(report));
   if (report.quality == Quality::kNone) {
     body += "0,00,,,M,,M,,";
@@ -67,7 +93,8 @@ std::string gga(const Report& report, const NmeaOptions& options) {
   return sentence(body);
 }
 
-std::string rmc(const Report& report, const NmeaOptions& options) {
+std::string rmc(const Report& given, const NmeaOptions& options) {
+  const Report report = checked(given, options);
   const Clock clock = clock_of(report.utime);
   std::string motion = ",";
   if (report.quality != Quality::kNone && report.velocity_enu.allFinite()) {
@@ -81,7 +108,8 @@ std::string rmc(const Report& report, const NmeaOptions& options) {
                               position(report), motion, clock.date, mode));
 }
 
-std::string gst(const Report& report, const NmeaOptions& options) {
+std::string gst(const Report& given, const NmeaOptions& options) {
+  const Report report = checked(given, options);
   const std::string time = clock_of(report.utime).time;
   if (report.quality == Quality::kNone) return sentence(fmt::format("{}GST,{},,,,,,,", options.talker, time));
   const Eigen::SelfAdjointEigenSolver<Eigen::Matrix2d> eigen(Eigen::Matrix2d(report.covariance.topLeftCorner<2, 2>()));

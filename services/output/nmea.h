@@ -34,7 +34,9 @@ struct NmeaOptions {
   double geoid_separation = 0.0;  // m, of the geoid over the ellipsoid in the area of the flight
 };
 
-// One sentence each, with checksum, CR and LF. Fields that are unknown are empty.
+// One sentence each, with checksum, CR and LF. Fields that are unknown are empty, and so are those that no aircraft
+// reports: a position off the Earth, or with a covariance that is none, is no position, a velocity of 10 km/s no
+// velocity.
 std::string gga(const Report& report, const NmeaOptions& options);
 std::string rmc(const Report& report, const NmeaOptions& options);
 // Standard deviations; empty fields without a position.

@@ -1,9 +1,11 @@
 // Flies one flight once for each fault, through processes on a bus of its own, in real time, and prints a table: what
 // was lost, how long until the aircraft knew its place again, which services had to be restarted.
-//   deploy/own-bus build/release/tests/fault_flight --config config/quick --log FLIGHT.lcm --map FLIGHT.onmap
-// A fault strikes after --strike seconds. A service that ends is restarted after 0.5 s, as its unit does.
+// tools/benchmark/faults makes the flight and runs it. A fault strikes after --strike seconds. A service that ends is
+// restarted after 0.5 s, as its unit does; ingest goes on where the flight would be by then.
 #include <algorithm>
 #include <cmath>
+#include <cstdlib>
+#include <fstream>
 #include <functional>
 #include <map>
 #include <memory>
@@ -17,8 +19,9 @@
 #include <fmt/format.h>
 
 #include "common/bus/channels.h"
+#include "common/flightlog/flightlog.h"
 #include "common/geo/enu_frame.h"
-#include "orthonav/health_t.hpp"
+#include "orthonav/map_fix_t.hpp"
 #include "orthonav/nav_state_t.hpp"
 #include "orthonav/truth_t.hpp"
 #include "orthonav/vio_keyframe_t.hpp"
@@ -38,6 +41,9 @@ constexpr double kBigLoss = 1e9;
 
 struct Arguments {
   std::filesystem::path config, log, map;
+  std::filesystem::path twice;       // the same flight with twice the images, or none
+  std::filesystem::path small_disk;  // a folder on a file system that a recording of the flight fills, or none
+  std::filesystem::path faketime;    // libfaketime, or none
   double strike = 25, length = 55;
   int garbage = 1'000'000, absurd = 100'000;
   std::vector<std::string> only;
@@ -47,6 +53,8 @@ struct Row {
   double silent_s = 0;      // longest time without NAV_STATE from the strike on
   double recovered_s = -1;  // from the strike to the last moment without a map-aided position; -1: never again
   double rmse_m = 0;        // fusion, 3D, while map-aided
+  int states = 0;           // NAV_STATE after the strike
+  int fixes = 0;            // valid ones after the strike
   int restarted = 0;        // services that were started again
   int other_deaths = 0;     // services that ended without having been killed
   int resets = 0;           // growth of the reset counter from the strike on
@@ -54,24 +62,33 @@ struct Row {
 
 class Flight {
  public:
-  explicit Flight(const Arguments& arguments)
+  explicit Flight(const Arguments& arguments, const std::filesystem::path& log)
       : arguments_(arguments),
+        log_(log),
         nav_(bus_, channel::kNavState),
         truth_(bus_, channel::kTruth),
-        keyframes_(bus_, channel::kVioKeyframe) {
+        keyframes_(bus_, channel::kVioKeyframe),
+        fixes_(bus_, channel::kMapFix) {
     start("map_server", {"--map", arguments_.map});
     start("registration");
     start("fusion");
     start("vio");
-    start("ingest", {"--log", arguments_.log, "--wait-for", "map_server,registration,fusion,vio"});
+    start("ingest", {"--log", log_, "--wait-for", "map_server,registration,fusion,vio"});
   }
 
   void kill(const std::string& service) {
     killed_.insert(service);
+    if (service == "ingest")
+      running_.at(service).arguments = {test::program("orthonav-ingest"), "--config", arguments_.config, "--log",
+                                        rest()};
     running_.at(service).process->signal(SIGKILL);
   }
   void signal(const std::string& service, int number) { running_.at(service).process->signal(number); }
-  void start_second_ingest() { start("ingest", {"--log", arguments_.log}, "second ingest"); }
+  void start_second_ingest() { start("ingest", {"--log", log_}, "second ingest"); }
+  void start_logger(const std::filesystem::path& out) {
+    running_["logger"].arguments = {"/usr/bin/lcm-logger", "--force", out};
+    running_["logger"].process = launch("logger");
+  }
 
   // Hears the bus and restarts what ended, for so long.
   void pass(double seconds) {
@@ -89,8 +106,10 @@ class Flight {
           service.process = launch(name);
           ++row_.restarted;
         }
-      } else if (name.find("ingest") == std::string::npos && !service.process->running()) {
-        if (killed_.erase(name) == 0) ++row_.other_deaths;
+      } else if (!service.process->running()) {
+        const bool killed = killed_.erase(name) != 0;
+        if (!killed && name.find("ingest") != std::string::npos) continue;  // at its log's end
+        if (!killed) ++row_.other_deaths;
         service.restart_at = Clock::now() + 500ms;
       }
     }
@@ -108,7 +127,9 @@ class Flight {
   void strike() {
     strike_ = Clock::now();
     first_after_ = nav_.messages.size();
+    first_fix_after_ = fixes_.messages.size();
   }
+  double since_strike() const { return std::chrono::duration<double>(Clock::now() - strike_).count(); }
 
   Row result() {
     const auto since = [&](Clock::time_point t) { return std::chrono::duration<double>(t - strike_).count(); };
@@ -132,6 +153,10 @@ class Flight {
       row_.resets = nav_.messages.back().reset_counter - nav_.messages[first_after_ - 1].reset_counter;
     }
     row_.rmse_m = rmse();
+    row_.states = static_cast<int>(nav_.messages.size() - first_after_);
+    row_.fixes =
+        static_cast<int>(std::count_if(fixes_.messages.begin() + static_cast<std::ptrdiff_t>(first_fix_after_),
+                                       fixes_.messages.end(), [](const map_fix_t& f) { return f.valid != 0; }));
     return row_;
   }
 
@@ -156,6 +181,18 @@ class Flight {
     return std::make_unique<ChildProcess>(running_.at(name).arguments, folder_ / (name + ".txt"));
   }
 
+  // The flight from 0.7 s after now on, as a log.
+  std::filesystem::path rest() const {
+    const auto file = folder_ / "rest.lcm";
+    LogReader reader(log_);
+    LogWriter writer(file);
+    const int64_t from = (truth_.messages.empty() ? 0 : truth_.messages.back().utime) + 700'000;
+    while (const auto event = reader.next()) {
+      if (event->utime >= from) writer.write(event->utime, event->channel, event->data.data(), event->data.size());
+    }
+    return file;
+  }
+
   double rmse() const {
     if (truth_.messages.empty()) return kBigLoss;
     std::map<int64_t, const truth_t*> truth;
@@ -175,34 +212,64 @@ class Flight {
   }
 
   const Arguments& arguments_;
+  const std::filesystem::path log_;
   test::TemporaryFolder folder_;
   lcm::LCM bus_;
   test::Collector<nav_state_t> nav_;
   test::Collector<truth_t> truth_;
   test::Collector<vio_keyframe_t> keyframes_;
+  test::Collector<map_fix_t> fixes_;
   std::vector<Clock::time_point> heard_;
   std::map<std::string, Running> running_;
   std::set<std::string> killed_;
   Clock::time_point strike_{};
   size_t first_after_ = 0;
+  size_t first_fix_after_ = 0;
   Row row_;
 };
 
 struct Fault {
   std::string name;
   std::function<void(Flight&)> strike;
+  std::filesystem::path log{};           // another one than the flight's
+  std::function<void()> before = [] {};  // the services start
+  std::function<void()> after = [] {};   // they have ended
 };
 
-std::vector<Fault> all_faults(const Arguments& arguments) {
+// `count` messages, evenly over the rest of the flight but 5 s, so that it shows how the flight goes on.
+void flood(Flight& flight, const Arguments& arguments, int count, const std::function<void()>& publish) {
+  const double duration = std::max(1.0, arguments.length - arguments.strike - 5);
+  for (int i = 0; i < count; ++i) {
+    publish();
+    if (i % 50 != 0) continue;
+    do {
+      flight.hear(0);
+    } while (flight.since_strike() < duration * i / count);
+  }
+}
+
+// The log with every second image left out.
+std::filesystem::path half_the_images(const std::filesystem::path& log, const std::filesystem::path& out) {
+  LogReader reader(log);
+  LogWriter writer(out);
+  int images = 0;
+  while (const auto event = reader.next()) {
+    if (event->channel == channel::kCamera && ++images % 2 == 0) continue;
+    writer.write(event->utime, event->channel, event->data.data(), event->data.size());
+  }
+  return out;
+}
+
+std::vector<Fault> all_faults(const Arguments& arguments, const std::filesystem::path& folder) {
   std::vector<Fault> faults{{"none", [](Flight&) {}}};
-  for (const char* service : {"vio", "map_server", "registration", "fusion"}) {
+  for (const char* service : {"ingest", "vio", "map_server", "registration", "fusion"}) {
     faults.push_back({fmt::format("kill -9 {}", service), [service](Flight& f) { f.kill(service); }});
   }
   faults.push_back({"kill -9 vio and fusion", [](Flight& f) {
                       f.kill("vio");
                       f.kill("fusion");
                     }});
-  for (const char* service : {"vio", "registration", "fusion"}) {
+  for (const char* service : {"vio", "map_server", "registration", "fusion"}) {
     faults.push_back({fmt::format("SIGSTOP {} for 5 s", service), [service](Flight& f) {
                         f.signal(service, SIGSTOP);
                         f.pass(5);
@@ -212,31 +279,49 @@ std::vector<Fault> all_faults(const Arguments& arguments) {
   faults.push_back({"second ingest on the bus", [](Flight& f) { f.start_second_ingest(); }});
   faults.push_back({fmt::format("{} garbage messages", arguments.garbage), [&arguments](Flight& f) {
                       std::mt19937_64 random(1);
-                      for (int i = 0; i < arguments.garbage; ++i) {
-                        publish_garbage(f.bus(), random);
-                        if (i % 50 == 0) f.hear(0);
-                      }
+                      flood(f, arguments, arguments.garbage, [&] { publish_garbage(f.bus(), random); });
                     }});
   faults.push_back({fmt::format("{} absurd messages", arguments.absurd), [&arguments](Flight& f) {
                       std::mt19937_64 random(1);
-                      for (int i = 0; i < arguments.absurd; ++i) {
-                        publish_absurd(f.bus(), random, f.utime(), f.session(), f.keyframe());
-                        if (i % 20 == 0) f.hear(0);
-                      }
+                      flood(f, arguments, arguments.absurd,
+                            [&] { publish_absurd(f.bus(), random, f.utime(), f.session(), f.keyframe()); });
                     }});
+  faults.push_back({"half the images", [](Flight&) {}, half_the_images(arguments.log, folder / "half.lcm")});
+  if (!arguments.twice.empty()) faults.push_back({"twice the images", [](Flight&) {}, arguments.twice});
+  if (!arguments.small_disk.empty()) {
+    faults.push_back({"disk full under the recorder",
+                      [&arguments](Flight& f) { f.start_logger(arguments.small_disk / "flight.lcm"); }});
+  }
+  if (!arguments.faketime.empty()) {
+    const auto offset = folder / "offset";
+    const auto say = [offset](const char* text) { std::ofstream(offset) << text << std::endl; };
+    faults.push_back({"wall clock one hour on",
+                      [say](Flight&) { say("+3600"); },
+                      {},
+                      [say, offset, &arguments] {
+                        say("+0");
+                        setenv("FAKETIME_TIMESTAMP_FILE", offset.c_str(), 1);
+                        setenv("FAKETIME_NO_CACHE", "1", 1);
+                        setenv("FAKETIME_DONT_FAKE_MONOTONIC", "1", 1);
+                        setenv("LD_PRELOAD", arguments.faketime.c_str(), 1);
+                      },
+                      [] { unsetenv("LD_PRELOAD"); }});
+  }
   return faults;
 }
 
 void fly(const Arguments& arguments) {
   fmt::print(
-      "| fault | longest silence of NAV_STATE (s) | map-aided again after (s) | fusion RMSE (m) | restarted | "
-      "others that ended | resets |\n|---|---|---|---|---|---|---|\n");
-  for (const Fault& fault : all_faults(arguments)) {
+      "| fault | longest silence of NAV_STATE (s) | map-aided again after (s) | fusion RMSE (m) | NAV_STATE | fixes | "
+      "restarted | others that ended | resets |\n|---|---|---|---|---|---|---|---|---|\n");
+  const test::TemporaryFolder folder;
+  for (const Fault& fault : all_faults(arguments, folder.path())) {
     const bool chosen =
         arguments.only.empty() || std::any_of(arguments.only.begin(), arguments.only.end(),
                                               [&](auto& o) { return fault.name.find(o) != std::string::npos; });
     if (!chosen) continue;
-    Flight flight(arguments);
+    fault.before();
+    Flight flight(arguments, fault.log.empty() ? arguments.log : fault.log);
     if (!flight.begin()) throw std::runtime_error("the flight does not begin");
     const auto end = Clock::now() + std::chrono::duration<double>(arguments.length);
     flight.pass(arguments.strike);
@@ -244,9 +329,10 @@ void fly(const Arguments& arguments) {
     fault.strike(flight);
     flight.pass(std::chrono::duration<double>(end - Clock::now()).count());
     const Row row = flight.result();
-    fmt::print("| {} | {:.1f} | {} | {:.2f} | {} | {} | {} |\n", fault.name, row.silent_s,
-               row.recovered_s < 0 ? "never" : fmt::format("{:.1f}", row.recovered_s), row.rmse_m, row.restarted,
-               row.other_deaths, row.resets);
+    fault.after();
+    fmt::print("| {} | {:.1f} | {} | {:.2f} | {} | {} | {} | {} | {} |\n", fault.name, row.silent_s,
+               row.recovered_s < 0 ? "never" : fmt::format("{:.1f}", row.recovered_s), row.rmse_m, row.states,
+               row.fixes, row.restarted, row.other_deaths, row.resets);
     std::fflush(stdout);
   }
 }
@@ -260,6 +346,9 @@ int main(int argc, char** argv) {
   app.add_option("--config", arguments.config)->required()->check(CLI::ExistingDirectory);
   app.add_option("--log", arguments.log)->required()->check(CLI::ExistingFile);
   app.add_option("--map", arguments.map)->required()->check(CLI::ExistingFile);
+  app.add_option("--twice", arguments.twice, "the flight with twice the images")->check(CLI::ExistingFile);
+  app.add_option("--small-disk", arguments.small_disk, "folder that a recording fills")->check(CLI::ExistingDirectory);
+  app.add_option("--faketime", arguments.faketime, "libfaketime.so.1")->check(CLI::ExistingFile);
   app.add_option("--strike", arguments.strike, "s into the flight")->capture_default_str();
   app.add_option("--length", arguments.length, "s of the flight that are flown")->capture_default_str();
   app.add_option("--garbage", arguments.garbage, "messages of the flood")->capture_default_str();

@@ -172,6 +172,7 @@ void publish_absurd(lcm::LCM& bus, std::mt19937_64& random, int64_t now, int32_t
       map_tile_request_t m{};
       m.fingerprint = "made-up";
       m.tile.assign(100, static_cast<int32_t>(random()));
+      m.part.assign(100, static_cast<int32_t>(random()));
       m.num_tiles = 100;
       bus.publish(channel::kMapTileRequest, &m);
     }

@@ -97,5 +97,25 @@ TEST(Nmea, MinutesNeverReachSixtyAndLongitudesWrap) {
   EXPECT_EQ(f[4] + f[5], "01000.00000W");
 }
 
+TEST(Nmea, WhatNoAircraftReportsIsNoPosition) {
+  const auto report_of = [](auto change) {
+    Report report;
+    report.quality = Quality::kAided;
+    change(report);
+    return report;
+  };
+  for (const Report& report : {report_of([](Report& r) { r.latitude_deg = 3.8e39; }),
+                               report_of([](Report& r) { r.ellipsoidal_height = 7e283; }),
+                               report_of([](Report& r) { r.longitude_deg = std::nan(""); }),
+                               report_of([](Report& r) { r.covariance(2, 2) = -1; }),
+                               report_of([](Report& r) { r.covariance(0, 1) = std::nan(""); })}) {
+    EXPECT_NE(gga(report, {}).find(",,,,0,00,"), std::string::npos) << gga(report, {});
+    EXPECT_NE(rmc(report, {}).find(",V,"), std::string::npos) << rmc(report, {});
+  }
+  const Report fast = report_of([](Report& r) { r.velocity_enu[0] = 1e200; });
+  EXPECT_NE(rmc(fast, {}).find(",A,"), std::string::npos);
+  EXPECT_EQ(rmc(fast, {}).find("inf"), std::string::npos) << rmc(fast, {});
+}
+
 }  // namespace
 }  // namespace orthonav::output

@@ -17,9 +17,10 @@
 
 namespace orthonav::test {
 
-// A program of this build, and the top of the source tree.
+// A program of this build, or of the folder $ORTHONAV_BIN, as for the scripts of deploy/; and the top of the source tree.
 inline std::filesystem::path program(const std::string& name) {
-  return std::filesystem::path(ORTHONAV_BIN) / name;
+  const char* folder = std::getenv("ORTHONAV_BIN");
+  return std::filesystem::path(folder != nullptr ? folder : ORTHONAV_BIN) / name;
 }
 inline std::filesystem::path source_tree() {
   return ORTHONAV_SOURCE;
