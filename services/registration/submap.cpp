@@ -22,8 +22,6 @@ constexpr double kFittedShare = 0.3;
 constexpr int kHeadingsTried = 24;
 // What the share of points that stay aligned with the map counts, beside the likelihood ratio's share.
 constexpr double kInlierEvidence = 3;
-// And without so much of the latter, however many points align: rows of a field align with the next row's.
-constexpr double kLeastLikelihoodShare = 0.2;
 // Places to which matches are aligned, to compare how many stay.
 constexpr size_t kPlacesFitted = 3;
 
@@ -328,9 +326,9 @@ Fix SubmapRegistrar::solve() {
   for (const View* view : views(best.place.variant, options_.pose_keyframes)) points += view->points.size();
   const double share = fix.log_likelihood_ratio / fix.log_likelihood;
   const double evidence = share + kInlierEvidence * fit.inliers / static_cast<double>(points);
-  const bool sure = share >= kLeastLikelihoodShare && evidence >= options_.min_evidence;
-  const bool nearby = radius_ <= kFineRadius && share >= options_.min_likelihood_share;
-  if (fix.log_likelihood_ratio < options_.min_likelihood_ratio || !(sure || nearby)) {
+  const bool clear =
+      fix.log_likelihood_ratio >= options_.min_likelihood_ratio && share >= options_.min_likelihood_share;
+  if (!clear || (radius_ > kFineRadius && evidence < options_.min_evidence)) {
     fix.reason =
         fmt::format("another place is nearly as likely: log-likelihood ratio {:.0f} of {:.0f}, evidence {:.2f}",
                     fix.log_likelihood_ratio, fix.log_likelihood, evidence);

@@ -33,11 +33,11 @@ struct SubmapOptions {
   double min_radius = 15;       // m, and at least this
   double widening = 1.5;        // factor of the radius for each keyframe without a fix
   double second_distance = 15;  // m: places further from the best are other places
-  // Of a fix: the log-likelihood of the best place less that of the second, in itself,
+  // Of a fix: the log-likelihood of the best place less that of the second, in itself and as a share of the former;
   double min_likelihood_ratio = 150;
-  // and as a share of the former: of a place where the aircraft is expected; of one found on the map, with three times
-  // the share of the points that stay when matches are aligned.
   double min_likelihood_share = 0.35;
+  // and, unless the aircraft is expected there, that share plus three times the share of the points that stay when
+  // matches are aligned.
   double min_evidence = 0.75;
   int min_inliers = 8;
   int coarse_places = 12;  // of the coarse grid that are compared at full resolution
