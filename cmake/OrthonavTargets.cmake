@@ -48,6 +48,9 @@ function(orthonav_library name)
   endif()
 endfunction()
 
+# What a user runs, without tests and benchmarks.
+add_custom_target(programs)
+
 # orthonav_executable(name SOURCES main.cpp ... LINKS lib ...): a program in build/<preset>/bin.
 function(orthonav_executable name)
   cmake_parse_arguments(ARG "" "" "SOURCES;LINKS" ${ARGN})
@@ -57,6 +60,7 @@ function(orthonav_executable name)
   # Experiments and benchmarks stay in the build folder.
   if(name MATCHES "^orthonav-")
     install(TARGETS ${name} RUNTIME DESTINATION bin COMPONENT runtime)
+    add_dependencies(programs ${name})
   endif()
 endfunction()
 

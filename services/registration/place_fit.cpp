@@ -216,6 +216,7 @@ FittedPose fit_pose(const std::vector<const View*>& views, const PlaceFit& fit, 
 
   // Heights: the odometry's points, scaled, lie on the map's ground or above it.
   std::vector<double> lifts;
+  lifts.reserve(inliers.size());
   for (const PlacedPoint* placed : inliers) {
     lifts.push_back(placed->ground - fit.alignment.scale * (point_of(views, *placed).p_W.z() - keyframe.p_W_B.z()));
   }
@@ -224,6 +225,7 @@ FittedPose fit_pose(const std::vector<const View*>& views, const PlaceFit& fit, 
   const double level = ground.level();
   std::vector<double> heights;  // of the map's points, m in G
   double mean_drop = 0;         // of the points below the body, by the odometry
+  heights.reserve(inliers.size());
   for (size_t i = 0; i < inliers.size(); ++i) {
     heights.push_back(inliers[i]->ground + std::max(0.0, level - lifts[i]));
     mean_drop += (keyframe.p_W_B.z() - point_of(views, *inliers[i]).p_W.z()) / static_cast<double>(inliers.size());

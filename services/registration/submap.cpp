@@ -116,10 +116,10 @@ bool SubmapRegistrar::describe(const Keyframe& keyframe, int session, const cv::
   Remembered variants;
   for (int i = 0; i < num_variants && refused_.empty(); ++i) {
     const double yaw = fitted_yaw_.value_or(compass_yaw_) + 2 * M_PI * i / num_variants;
-    variants.push_back(
-        {std::make_unique<View>(make_view(keyframe, image, camera_, odometry_heading - yaw, fitted_scale_.value_or(1.0),
-                                          *index_, geometry_, options_.query)),
-         std::nullopt});
+    Variant variant;
+    variant.view = std::make_unique<View>(make_view(keyframe, image, camera_, odometry_heading - yaw,
+                                                    fitted_scale_.value_or(1.0), *index_, geometry_, options_.query));
+    variants.push_back(std::move(variant));
     refused_ = variants.back().view->refused;
   }
   if (!refused_.empty()) return false;

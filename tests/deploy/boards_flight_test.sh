@@ -7,7 +7,7 @@ export ORTHONAV_BIN=$1
 flight=$2
 out=$flight/boards.lcm
 "$here/deploy/fly-boards" "$here/deploy/boards/three.yaml" "$here/config/quick" "$flight/flight.lcm" "$flight/flight.onmap" "$out" \
-  --loss 10 --seconds 25
+  --loss 10 --seconds 35
 for host in eyes atlas navigator; do
   grep -q "\"host\": \"$host\"" "${out%.lcm}.status.json" || { echo "no heartbeat from the board $host"; exit 1; }
 done

@@ -17,7 +17,8 @@
 
 namespace orthonav::test {
 
-// A program of this build, or of the folder $ORTHONAV_BIN, as for the scripts of deploy/; and the top of the source tree.
+// A program of this build, or of the folder $ORTHONAV_BIN, as for the scripts of deploy/; and the top of the source
+// tree.
 inline std::filesystem::path program(const std::string& name) {
   const char* folder = std::getenv("ORTHONAV_BIN");
   return std::filesystem::path(folder != nullptr ? folder : ORTHONAV_BIN) / name;
