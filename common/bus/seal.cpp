@@ -97,7 +97,7 @@ std::string SealChecker::refusal(const std::string& channel, int64_t now, const 
     return fmt::format("was sealed {:.1f} s ago: a replay, or is chrony not running on both boards?",
                        1e-6 * (static_cast<double>(now) - static_cast<double>(time)));
   }
-  if (seen_.size() >= kMostSenders) {
+  if (seen_.size() >= kMostSenders && !seen_.contains({channel, sender})) {
     const auto oldest =
         std::min_element(seen_.begin(), seen_.end(), [](auto& a, auto& b) { return a.second.time < b.second.time; });
     seen_.erase(oldest);

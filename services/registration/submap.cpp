@@ -188,7 +188,7 @@ void SubmapRegistrar::search_everywhere(size_t variant) {
 
 void SubmapRegistrar::search_around(const PositionPrior& prior, double radius, size_t variant) {
   const std::vector<const View*> submap = views(variant, options_.pose_keyframes);
-  if (radius <= kFineRadius) {
+  if (is_nearby()) {
     const std::vector<Alignment> candidates = alignments_for(variant, 1.5 * index_->pitch());
     for (const PlaceCandidate& place : best_fine_places(submap, *index_, candidates, prior.en, radius,
                                                         options_.second_distance, 2, options_.evidence)) {
@@ -237,6 +237,10 @@ void SubmapRegistrar::learn_from(const FittedPose& pose, size_t variant) {
   }
 }
 
+bool SubmapRegistrar::is_nearby() const {
+  return radius_ <= kFineRadius;
+}
+
 FitOptions SubmapRegistrar::fit_options() const {
   FitOptions options = options_.fit;
   options.heading_stddev = options_.search_heading ? M_PI : heading_.stddev;
@@ -253,9 +257,10 @@ std::vector<SubmapRegistrar::Candidate> SubmapRegistrar::fit_best_places() const
   const auto is_near = [&](const Eigen::Vector2d& a, const Eigen::Vector2d& b) {
     return (a - b).norm() < options_.second_distance;
   };
+  const size_t most = is_nearby() ? 1 : kPlacesFitted;
   size_t fitted = 0;
   for (const Place& place : places_) {
-    if (fitted == kPlacesFitted) break;
+    if (fitted == most) break;
     const auto known = [&](const Candidate& other) { return is_near(other.place.en, place.en); };
     if (std::any_of(candidates.begin(), candidates.end(), known)) continue;
     ++fitted;
@@ -270,6 +275,23 @@ std::vector<SubmapRegistrar::Candidate> SubmapRegistrar::fit_best_places() const
   std::stable_sort(candidates.begin(), candidates.end(),
                    [](const Candidate& a, const Candidate& b) { return a.fit.inliers > b.fit.inliers; });
   return candidates;
+}
+
+std::string SubmapRegistrar::doubt(const Fix& fix, const Candidate& place) const {
+  size_t points = 0;
+  for (const View* view : views(place.place.variant, options_.pose_keyframes)) points += view->points.size();
+  const double share = fix.log_likelihood_ratio / fix.log_likelihood;
+  const double evidence = share + kInlierEvidence * place.fit.inliers / static_cast<double>(points);
+  const bool clear =
+      fix.log_likelihood_ratio >= options_.min_likelihood_ratio && share >= options_.min_likelihood_share;
+  if (!clear || (!is_nearby() && evidence < options_.min_evidence)) {
+    return fmt::format("another place is nearly as likely: log-likelihood ratio {:.0f} of {:.0f}, evidence {:.2f}",
+                       fix.log_likelihood_ratio, fix.log_likelihood, evidence);
+  }
+  if (fix.num_inliers < options_.min_inliers) {
+    return fmt::format("{} inliers, {} are needed", fix.num_inliers, options_.min_inliers);
+  }
+  return "";
 }
 
 Fix SubmapRegistrar::solve() {
@@ -322,21 +344,8 @@ Fix SubmapRegistrar::solve() {
     fix.heading_correction = wrap_angle(odometry_heading - yaw - heading_.value);
     fix.heading_correction_stddev = pose.yaw_stddev;
   }
-  size_t points = 0;
-  for (const View* view : views(best.place.variant, options_.pose_keyframes)) points += view->points.size();
-  const double share = fix.log_likelihood_ratio / fix.log_likelihood;
-  const double evidence = share + kInlierEvidence * fit.inliers / static_cast<double>(points);
-  const bool clear =
-      fix.log_likelihood_ratio >= options_.min_likelihood_ratio && share >= options_.min_likelihood_share;
-  if (!clear || (radius_ > kFineRadius && evidence < options_.min_evidence)) {
-    fix.reason =
-        fmt::format("another place is nearly as likely: log-likelihood ratio {:.0f} of {:.0f}, evidence {:.2f}",
-                    fix.log_likelihood_ratio, fix.log_likelihood, evidence);
-  } else if (fix.num_inliers < options_.min_inliers) {
-    fix.reason = fmt::format("{} inliers, {} are needed", fix.num_inliers, options_.min_inliers);
-  } else if (!pose.ok) {
-    fix.reason = "the matches give no pose";
-  }
+  fix.reason = doubt(fix, best);
+  if (fix.reason.empty() && !pose.ok) fix.reason = "the matches give no pose";
   fix.valid = fix.reason.empty();
   if (!fix.valid) {
     ++without_fix_;

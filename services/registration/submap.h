@@ -14,6 +14,8 @@
 #include <deque>
 #include <memory>
 #include <optional>
+#include <string>
+#include <vector>
 
 #include "common/camera/camera_model.h"
 #include "common/config/config.h"
@@ -100,8 +102,12 @@ class SubmapRegistrar {
   FitOptions fit_options() const;
   // What compass and odometry say, against what the newest view was described with.
   Alignment prior_alignment(size_t variant) const;
-  // The best different places, that with the most aligned matches first.
+  // Whether the search was for a place where the aircraft is expected closely.
+  bool is_nearby() const;
+  // The best different places, that with the most aligned matches first; nearby, the best one.
   std::vector<Candidate> fit_best_places() const;
+  // Why a place is not accepted; empty when it is.
+  std::string doubt(const Fix& fix, const Candidate& place) const;
   void learn_from(const FittedPose& pose, size_t variant);
 
   SubmapOptions options_;

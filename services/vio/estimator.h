@@ -227,7 +227,7 @@ class Estimator {
   int next_keyframe_id_ = 0;
   int64_t tried_utime_ = 0;        // when a start was last tried
   int64_t seen_utime_ = 0;         // when enough landmarks were last in view
-  int64_t last_frame_utime_ = 0;   // of the last frame that was judged; 0: none in this session
+  int64_t last_frame_utime_ = 0;   // of the last frame that was judged; 0: none since the reset
   double error_time_ = 0;          // s, for which camera and IMU have contradicted each other
   double sunk_time_ = 0;           // s, for which the ground has been above the aircraft
   int in_view_ = 0, refused_ = 0;  // landmarks of the newest frame: with a depth, and found to be wrong

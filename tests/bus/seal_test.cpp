@@ -52,6 +52,21 @@ TEST(Seal, PassesOnceWithItsKeyAndChannel) {
   EXPECT_THAT(refusal(checker, message), HasSubstr("replay"));
 }
 
+TEST(Seal, ASenderIsForgottenForANewOneOnly) {
+  SealChecker checker(key_of(1));
+  Sealer first(key_of(1));
+  const auto old = sealed(first, "IMU", kNow - 1'000'000);
+  ASSERT_EQ(refusal(checker, old), "");
+  std::optional<Sealer> last;
+  for (int i = 1; i < 1000; ++i) {
+    last.emplace(key_of(1));
+    ASSERT_EQ(refusal(checker, sealed(*last)), "");
+  }
+  // The table is full now.
+  EXPECT_EQ(refusal(checker, sealed(*last)), "");
+  EXPECT_THAT(refusal(checker, old), HasSubstr("replay"));
+}
+
 TEST(Seal, AnyChangedBitIsRefused) {
   Sealer sealer(key_of(1));
   SealChecker checker(key_of(1));

@@ -31,8 +31,18 @@ std::string report_of(const LogContent& content, bool with_map = false) {
                  draw_matches(log, record, metrics.registration, shown));
 }
 
+// A page less the bytes of its pictures, which may spell anything.
+std::string without_pictures(const std::string& html) {
+  std::string text;
+  size_t from = 0;
+  for (size_t at; (at = html.find(";base64,", from)) != std::string::npos; from = html.find('\'', at)) {
+    text += html.substr(from, at + 8 - from);
+  }
+  return text + html.substr(from);
+}
+
 TEST(Report, NeedsNothingFromOutside) {
-  const std::string html = report_of({}, true);
+  const std::string html = without_pictures(report_of({}, true));
   EXPECT_THAT(html, Not(HasSubstr("http")));
   EXPECT_THAT(html, Not(HasSubstr("<script")));
   EXPECT_THAT(html, Not(HasSubstr("nan")));
@@ -50,7 +60,7 @@ TEST(Report, IsMadeOfWhatThereIs) {
   for (const LogContent& content : {LogContent{.truth = false}, LogContent{.truth = false, .gnss = false},
                                     LogContent{.vio = false, .keyframes = false}, LogContent{.fixes = false},
                                     LogContent{.nav = false}, LogContent{.images = false}}) {
-    const std::string html = report_of(content);
+    const std::string html = without_pictures(report_of(content));
     EXPECT_THAT(html, HasSubstr("What is missing"));
     EXPECT_THAT(html, HasSubstr("</html>"));
     EXPECT_THAT(html, Not(HasSubstr("nan")));

@@ -57,7 +57,7 @@ void write_map(const std::filesystem::path& file) {
 TEST(MapOverALossyBus, EveryTileArrivesIntact) {
   const char* lossy = std::getenv("ORTHONAV_LOSSY_BUS");
   if (lossy == nullptr || std::string_view(lossy) != "yes") {
-    GTEST_SKIP() << "no bus that loses packets (tests/support/lossy-bus): " << (lossy == nullptr ? "not on it" : lossy);
+    GTEST_SKIP() << "needs a bus that loses packets, tests/support/lossy-bus: " << (lossy == nullptr ? "" : lossy);
   }
   const test::TemporaryFolder folder;
   write_map(folder / "map.onmap");

@@ -33,6 +33,7 @@
 #include "common/math/statistics.h"
 #include "services/registration/registrar.h"
 #include "services/registration/submap.h"
+#include "tools/evaluate_registration/evaluation.h"
 
 namespace {
 
@@ -138,6 +139,17 @@ MapFeatures describe_map(const Scene& scene, const MapGeometry& geometry, Method
   return features;
 }
 
+// A pinhole camera as wide as the scene's views are.
+CameraModel camera_of(const Scene& scene) {
+  CameraParameters parameters;
+  parameters.width = scene.views.front().image.cols;
+  parameters.height = scene.views.front().image.rows;
+  parameters.fx = parameters.fy = 1.3 * parameters.width;
+  parameters.cx = 0.5 * parameters.width;
+  parameters.cy = 0.5 * parameters.height;
+  return CameraModel(parameters);
+}
+
 // A body whose x axis is the image's up, looking straight down from the height the view's scale means, in an odometry's
 // world that is the map's, stretched by `scale_error`.
 Keyframe keyframe_of(const View& view, const CameraModel& camera, double metres_per_pixel, double scale_error,
@@ -148,17 +160,7 @@ Keyframe keyframe_of(const View& view, const CameraModel& camera, double metres_
   keyframe.p_W_B = {en.x(), en.y(), keyframe.height_above_ground};
   keyframe.q_W_B = Eigen::AngleAxisd(M_PI / 2 - view.rotation, Eigen::Vector3d::UnitZ());
   keyframe.extrinsics.R_B_C << 0, -1, 0, -1, 0, 0, 0, 0, -1;
-  std::vector<cv::Point2f> corners;
-  cv::goodFeaturesToTrack(view.image, corners, num_corners, 0.01, 20);
-  for (size_t i = 0; i < corners.size(); ++i) {
-    TrackedPoint point;
-    point.id = static_cast<int64_t>(i);
-    point.pixel = {corners[i].x, corners[i].y};
-    point.ray_C = *camera.unproject(point.pixel);
-    point.p_W =
-        keyframe.p_W_B + keyframe.height_above_ground * (keyframe.q_W_B * (keyframe.extrinsics.R_B_C * point.ray_C));
-    keyframe.points.push_back(point);
-  }
+  evaluate_registration::add_flat_ground(view.image, camera, num_corners, keyframe);
   return keyframe;
 }
 
@@ -202,13 +204,7 @@ void run(const Arguments& arguments) {
   const MapFeatures features = describe_map(scene, geometry, options.method);
   fmt::print("{}: {} features described in {:.2f} s\n", arguments.scene, features.positions.size(),
              1e-3 * (now_ms() - start));
-  CameraParameters parameters;
-  parameters.width = scene.views.front().image.cols;
-  parameters.height = scene.views.front().image.rows;
-  parameters.fx = parameters.fy = 1.3 * parameters.width;
-  parameters.cx = 0.5 * parameters.width;
-  parameters.cy = 0.5 * parameters.height;
-  const CameraModel camera(parameters);
+  const CameraModel camera = camera_of(scene);
   std::FILE* csv = arguments.csv.empty() ? nullptr : std::fopen(arguments.csv.c_str(), "w");
   SubmapOptions submap_options;
   submap_options.max_keyframes = arguments.keyframes;
@@ -319,13 +315,7 @@ void run_growth(const Arguments& arguments) {
   if (scene.map.empty() || scene.views.empty()) throw std::runtime_error("no data in " + arguments.data.string());
   const MapGeometry geometry{scene.metres_per_pixel, arguments.size, arguments.stride};
   const Method method = arguments.method == "paper" ? Method::kPaper : Method::kSubmap;
-  CameraParameters parameters;
-  parameters.width = scene.views.front().image.cols;
-  parameters.height = scene.views.front().image.rows;
-  parameters.fx = parameters.fy = 1.3 * parameters.width;
-  parameters.cx = 0.5 * parameters.width;
-  parameters.cy = 0.5 * parameters.height;
-  const CameraModel camera(parameters);
+  const CameraModel camera = camera_of(scene);
   const MapFeatures real = describe_map(scene, geometry, method);
   for (const int64_t count : arguments.features) {
     MapFeatures plain = plain_around(real, geometry.keypoint_stride * geometry.metres_per_pixel, count);

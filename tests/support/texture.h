@@ -11,6 +11,18 @@
 
 namespace orthonav::test {
 
+// A picture of `texture` whose pixel (u, v) shows the ground point that `ground_of` gives.
+template <class Texture, class GroundOf>
+cv::Mat picture_of(const Texture& texture, const cv::Size& size, const GroundOf& ground_of) {
+  cv::Mat image(size, CV_8U);
+  for (int v = 0; v < size.height; ++v) {
+    for (int u = 0; u < size.width; ++u) {
+      image.at<uchar>(v, u) = cv::saturate_cast<uchar>(texture(ground_of(Eigen::Vector2d(u, v))));
+    }
+  }
+  return image;
+}
+
 // Band-limited brightness as a sum of sinusoids of wavelengths 1.2 ... 30 m in all directions: smooth, and nowhere the
 // same twice. The same seed gives the same ground.
 class Texture {
@@ -32,16 +44,9 @@ class Texture {
     return 127.0 + 90.0 * sum / std::sqrt(static_cast<double>(waves_.size()));
   }
 
-  // A picture whose pixel (u, v) shows the ground point that `ground_of` gives.
   template <class GroundOf>
   cv::Mat picture(const cv::Size& size, const GroundOf& ground_of) const {
-    cv::Mat image(size, CV_8U);
-    for (int v = 0; v < size.height; ++v) {
-      for (int u = 0; u < size.width; ++u) {
-        image.at<uchar>(v, u) = cv::saturate_cast<uchar>((*this)(ground_of(Eigen::Vector2d(u, v))));
-      }
-    }
-    return image;
+    return picture_of(*this, size, ground_of);
   }
 
  private:
@@ -77,13 +82,7 @@ class Patchwork {
 
   template <class GroundOf>
   cv::Mat picture(const cv::Size& size, const GroundOf& ground_of) const {
-    cv::Mat image(size, CV_8U);
-    for (int v = 0; v < size.height; ++v) {
-      for (int u = 0; u < size.width; ++u) {
-        image.at<uchar>(v, u) = cv::saturate_cast<uchar>((*this)(ground_of(Eigen::Vector2d(u, v))));
-      }
-    }
-    return image;
+    return picture_of(*this, size, ground_of);
   }
 
  private:

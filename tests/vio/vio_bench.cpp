@@ -6,8 +6,8 @@
 //   vio_bench --config config/rural --loops 8 flight.lcm         an hour: memory and time per frame, loop by loop
 //
 // One line per flight: position RMSE after alignment in yaw and translation (4-DoF) and by a similarity (Umeyama), the
-// scale of the latter, drift over 100 m of flight, sessions and why they ended, time to start, normalised error squared
-// (per dimension) of the motion between keyframes, CPU time per frame.
+// scale of the latter, error of the vertical (root mean square), drift over 100 m of flight, sessions and why they
+// ended, time to start, normalised error squared (per dimension) of the motion between keyframes, CPU time per frame.
 #include <cmath>
 #include <cstdio>
 #include <filesystem>
@@ -48,6 +48,13 @@ std::string restarts(const Result& result) {
     session = output.session;
   }
   return text;
+}
+
+// Angle between the vertical of an attitude and the true one, degrees.
+double tilt_error_deg(const Eigen::Quaterniond& q, const Eigen::Quaterniond& truth) {
+  const Eigen::Vector3d up = q.conjugate() * Eigen::Vector3d::UnitZ(),
+                        true_up = truth.conjugate() * Eigen::Vector3d::UnitZ();
+  return std::atan2(up.cross(true_up).norm(), up.dot(true_up)) * 180 / M_PI;
 }
 
 double mean(const std::vector<double>& values) {
@@ -110,10 +117,16 @@ void report(const std::string& name, const Result& result, const std::filesystem
         to_head(to.begin(), to.begin() + static_cast<long>(head));
     first_scale = align_umeyama(from_head, to_head, true).scale;
     double worst = 0;
-    for (size_t i = 0; i < from.size(); ++i) worst = std::max(worst, (rigid * from[i] - to[i]).norm());
+    std::vector<double> tilts;
+    for (size_t i = 0; i < from.size(); ++i) {
+      worst = std::max(worst, (rigid * from[i] - to[i]).norm());
+      tilts.push_back(tilt_error_deg(attitudes[session][i], true_attitudes[session][i]));
+    }
     char text[200];
-    std::snprintf(text, sizeof text, " [4dof %.3f m  max %.3f  umeyama %.3f m  scale %.4f  first %.3f  n %zu]",
-                  rmse(rigid, from, to), worst, rmse(similar, from, to), similar.scale, first_scale, from.size());
+    std::snprintf(text, sizeof text,
+                  " [4dof %.3f m  max %.3f  umeyama %.3f m  scale %.4f  first %.3f  tilt %.2f deg  n %zu]",
+                  rmse(rigid, from, to), worst, rmse(similar, from, to), similar.scale, first_scale,
+                  root_mean_square(tilts), from.size());
     per_session += text;
     std::vector<double> path(to.size(), 0.0);
     for (size_t i = 1; i < to.size(); ++i) path[i] = path[i - 1] + (to[i] - to[i - 1]).norm();
@@ -141,7 +154,8 @@ void report(const std::string& name, const Result& result, const std::filesystem
       out << output.utime << ' ' << output.state.p().transpose() << ' ' << truth->p.transpose() << ' '
           << output.state.v().transpose() << ' ' << output.state.ba().transpose() << ' '
           << output.state.bg().transpose() << ' ' << output.height_above_ground << ' ' << output.num_tracked << ' '
-          << output.pose_covariance.topLeftCorner<3, 3>().trace() << '\n';
+          << output.pose_covariance.topLeftCorner<3, 3>().trace() << ' ' << tilt_error_deg(output.state.q(), truth->q)
+          << '\n';
     }
   }
 }

@@ -49,21 +49,7 @@ Picture picture_of(const Photo& photo, const Eigen::Vector2d& origin, const Came
   keyframe.height_above_ground = errors.scale * photo.height;
   const Eigen::Vector2d en = errors.scale * (photo.en - origin);
   keyframe.p_W_B = {en.x(), en.y(), keyframe.height_above_ground};
-  const Eigen::Matrix3d R_W_C = keyframe.q_W_B * keyframe.extrinsics.R_B_C;
-  std::vector<cv::Point2f> corners;
-  cv::goodFeaturesToTrack(picture.grey, corners, num_corners, 0.01, 20);
-  for (size_t i = 0; i < corners.size(); ++i) {
-    TrackedPoint point;
-    point.id = static_cast<int64_t>(i);
-    point.pixel = {corners[i].x, corners[i].y};
-    const auto ray = camera.unproject(point.pixel);
-    if (!ray) continue;
-    point.ray_C = *ray;
-    const Eigen::Vector3d direction = R_W_C * point.ray_C;
-    if (!(direction.z() < -0.05)) continue;  // at the horizon
-    point.p_W = keyframe.p_W_B - keyframe.p_W_B.z() / direction.z() * direction;
-    keyframe.points.push_back(point);
-  }
+  add_flat_ground(picture.grey, camera, num_corners, keyframe);
   return picture;
 }
 
@@ -152,6 +138,24 @@ class Evaluator {
 };
 
 }  // namespace
+
+void add_flat_ground(const cv::Mat& grey, const CameraModel& camera, int num_corners, Keyframe& keyframe) {
+  const Eigen::Matrix3d R_W_C = keyframe.q_W_B * keyframe.extrinsics.R_B_C;
+  std::vector<cv::Point2f> corners;
+  cv::goodFeaturesToTrack(grey, corners, num_corners, 0.01, 20);
+  for (size_t i = 0; i < corners.size(); ++i) {
+    TrackedPoint point;
+    point.id = static_cast<int64_t>(i);
+    point.pixel = {corners[i].x, corners[i].y};
+    const auto ray = camera.unproject(point.pixel);
+    if (!ray) continue;
+    point.ray_C = *ray;
+    const Eigen::Vector3d direction = R_W_C * point.ray_C;
+    if (!(direction.z() < -0.05)) continue;  // at the horizon
+    point.p_W = keyframe.p_W_B - keyframe.p_W_B.z() / direction.z() * direction;
+    keyframe.points.push_back(point);
+  }
+}
 
 std::vector<Outcome> evaluate(const PhotoFolder& folder, const MapFeatures& map, const MapGeometry& geometry,
                               const EvaluationOptions& options) {

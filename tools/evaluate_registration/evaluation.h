@@ -36,6 +36,10 @@ struct Outcome {
   double milliseconds = 0;  // of the photo, those before it in a submap not counted
 };
 
+// Makes the corners of `grey` (at most `num_corners`) points of the keyframe, which has its pose and extrinsics: flat
+// ground at z = 0 in W. Corners near the horizon are left out.
+void add_flat_ground(const cv::Mat& grey, const CameraModel& camera, int num_corners, registration::Keyframe& keyframe);
+
 // One outcome for each photo evaluated, in their order. Photos with a problem and files that are no pictures are
 // outcomes with a reason. Throws std::invalid_argument when the map does not suit the method.
 std::vector<Outcome> evaluate(const PhotoFolder& folder, const registration::MapFeatures& map,
