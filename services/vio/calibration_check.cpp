@@ -24,6 +24,7 @@ constexpr int kMemory = 200;            // pairs, after which what was learnt co
 constexpr int kFewestPairs = 6;
 // Tracks of one feature share their errors from pair to pair, which the information of a pair does not know of.
 constexpr double kDiscount = 0.5;
+constexpr double kPixelSigma = 0.3;  // pixels, of a feature: of every camera, so above that of a good one
 
 const char* const kAxesComplaint =
     "the camera-IMU rotation, or the gyroscope's axes or units, are wrong: camera and gyroscope turn differently";
@@ -113,8 +114,8 @@ RelativeRotation relative_rotation(const std::vector<Eigen::Vector3d>& rays_1,
 }
 
 CalibrationCheck::CalibrationCheck(const CalibrationCheckOptions& options, const Extrinsics& extrinsics, double gravity,
-                                   double focal, double pixel_sigma)
-    : options_(options), extrinsics_(extrinsics), gravity_(gravity), focal_(focal), pixel_sigma_(pixel_sigma) {}
+                                   double focal)
+    : options_(options), extrinsics_(extrinsics), gravity_(gravity), focal_(focal) {}
 
 void CalibrationCheck::check_gravity(const std::vector<ImuSample>& imu) {
   for (size_t k = 1; k < imu.size(); ++k) {
@@ -168,9 +169,9 @@ void CalibrationCheck::add_pair(const std::map<int64_t, Eigen::Vector3d>& now) {
   }
   // Camera coordinates of the first image to those of the second, by the gyroscope.
   const Eigen::Vector3d g = -(extrinsics_.R_B_C.transpose() * so3_log(turned_));
-  const RelativeRotation seen = relative_rotation(rays_1, rays_2, g + elapsed_ * bias_, focal_, pixel_sigma_);
-  if (seen.residual > 5 * pixel_sigma_ || seen.w.norm() > 5 * kLargestTurn) return;
-  const double excess = std::max(1.0, seen.residual / pixel_sigma_);
+  const RelativeRotation seen = relative_rotation(rays_1, rays_2, g + elapsed_ * bias_, focal_, kPixelSigma);
+  if (seen.residual > 5 * kPixelSigma || seen.w.norm() > 5 * kLargestTurn) return;
+  const double excess = std::max(1.0, seen.residual / kPixelSigma);
   const Eigen::Matrix3d information = kDiscount / (excess * excess) * seen.information;
 
   const Eigen::Vector3d difference = seen.w - g;

@@ -47,8 +47,7 @@ RelativeRotation relative_rotation(const std::vector<Eigen::Vector3d>& rays_1,
 
 class CalibrationCheck {
  public:
-  CalibrationCheck(const CalibrationCheckOptions& options, const Extrinsics& extrinsics, double gravity, double focal,
-                   double pixel_sigma);
+  CalibrationCheck(const CalibrationCheckOptions& options, const Extrinsics& extrinsics, double gravity, double focal);
 
   // One frame: its features, and the IMU samples since the previous frame, both ends included.
   void add(const std::vector<TrackedFeature>& features, const std::vector<ImuSample>& imu);
@@ -63,7 +62,7 @@ class CalibrationCheck {
 
   CalibrationCheckOptions options_;
   Extrinsics extrinsics_;
-  double gravity_, focal_, pixel_sigma_;
+  double gravity_, focal_;
 
   std::map<int64_t, Eigen::Vector3d> reference_;                // bearings of the pair's first image
   Eigen::Quaterniond turned_ = Eigen::Quaterniond::Identity();  // R_first_now in B, by the gyroscope

@@ -11,6 +11,8 @@ namespace orthonav::vio {
 namespace {
 
 constexpr double kTolerance = 1e-4;  // relative decrease of the cost at which a frame's solution is good enough
+constexpr double kUnknownNoise = 3;  // times pixel_sigma, of tracks that nothing is known of yet
+constexpr double kNoiseShare = 0.1;  // that a keyframe has in the noise measured
 
 }  // namespace
 
@@ -38,6 +40,7 @@ void Estimator::reset() {
   glances_.clear();
   still_ = false;
   still_time_ = 0;
+  pixel_sigma_ = std::min(kUnknownNoise * options_.pixel_sigma, options_.max_pixel_sigma);
   error_time_ = 0;
   sunk_time_ = 0;
   tried_utime_ = 0;
@@ -108,6 +111,7 @@ Estimator::Status Estimator::process(int64_t utime, const std::vector<TrackedFea
   if (newest.keyframe) take_hint();
   optimise(options_.iterations, kTolerance);
   find_outliers();
+  if (newest.keyframe) measure_noise(kNoiseShare);
   gyro_bias_ = newest.state.bg();
   update_height();
   const std::string failure = find_failure();

@@ -47,7 +47,8 @@ struct EstimatorOptions {
   int window = 12;                // keyframes
   double keyframe_parallax = 20;  // pixels
   double keyframe_tracked = 0.5;  // fraction of the last keyframe's features below which a new one is made
-  double pixel_sigma = 0.3;       // pixels, 1 sigma of a tracked feature
+  double pixel_sigma = 0.1;       // pixels, 1 sigma of a tracked feature, at least
+  double max_pixel_sigma = 0.5;   // pixels, likewise, at most: in between it is measured
   double robust_width = 1.5;      // sigmas at which the loss turns linear
   double outlier_error = 3.0;     // pixels, root mean square over the window, or in the newest frame twice that
   double min_parallax = 4.0;      // pixels, before a landmark is triangulated
@@ -55,7 +56,7 @@ struct EstimatorOptions {
   double gravity = 9.81;          // m/s^2
   double accel_bias_sigma = 0.1;  // m/s^2, 1 sigma at the start of a session
   double gyro_bias_sigma = 0.02;  // rad/s, likewise
-  double tilt_return_time = 30;   // s, in which the published attitude follows a correction of tilt
+  double tilt_return_time = 3;    // s, in which the published attitude follows a correction of tilt
   double keyframe_interval = 3;   // s, after which a keyframe is made without motion
   bool estimate_time_offset = true;
   double time_offset = 0;           // s, IMU time = image time + this, as configured
@@ -162,10 +163,14 @@ class Estimator {
   void triangulate();
   void update_height();
   std::vector<Frame*> frame_pointers() const;
-  double weight() const { return focal_ / options_.pixel_sigma; }
+  double weight() const { return focal_ / pixel_sigma_; }
 
   // estimator_solve.cpp
-  bool optimise(int iterations, double tolerance);  // whether it converged
+  struct Solution {
+    bool converged;
+    double cost;  // infinite: there is none
+  };
+  Solution optimise(int iterations, double tolerance);
   void choose_height_landmark(Frame& frame);
   NormalEquations normal_equations();
   void marginalise_oldest();
@@ -176,6 +181,7 @@ class Estimator {
   // estimator_watch.cpp
   void watch_standstill(int64_t utime, const std::vector<TrackedFeature>& features, const std::vector<ImuSample>& imu);
   void find_outliers();
+  void measure_noise(double share);
   std::string find_failure();
   bool scale_was_wrong() const;
 
@@ -183,6 +189,7 @@ class Estimator {
   void collect_for_start();
   void thin_out();
   bool try_start();
+  bool fits_better_at_another_scale(double cost);
   void start_prior(const SharedValues& shared, double gyro_sigma);
   double scale_sigma(const NormalEquations& equations) const;
 
@@ -228,6 +235,7 @@ class Estimator {
   int64_t tried_utime_ = 0;        // when a start was last tried
   int64_t seen_utime_ = 0;         // when enough landmarks were last in view
   int64_t last_frame_utime_ = 0;   // of the last frame that was judged; 0: none since the reset
+  double pixel_sigma_ = 0;         // pixels, 1 sigma of a tracked feature, as measured
   double error_time_ = 0;          // s, for which camera and IMU have contradicted each other
   double sunk_time_ = 0;           // s, for which the ground has been above the aircraft
   int in_view_ = 0, refused_ = 0;  // landmarks of the newest frame: with a depth, and found to be wrong

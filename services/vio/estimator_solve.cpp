@@ -1,6 +1,7 @@
 // How the window is solved, and what leaves it.
 #include <algorithm>
 #include <cmath>
+#include <limits>
 
 #include <ceres/ceres.h>
 
@@ -72,7 +73,7 @@ void Estimator::choose_height_landmark(Frame& frame) {
   frame.height_landmark = middle->second;
 }
 
-bool Estimator::optimise(int iterations, double tolerance) {
+Estimator::Solution Estimator::optimise(int iterations, double tolerance) {
   for (size_t k = 1; k < frames_.size(); ++k) {
     // The first-order bias correction holds for small changes only.
     const StateValues& state = frames_[k - 1]->state;
@@ -186,7 +187,8 @@ bool Estimator::optimise(int iterations, double tolerance) {
   if (shared_.camera_free) extrinsics_ = shared_.state.extrinsics();
   time_offset[0] = std::clamp(time_offset[0], options_.time_offset - options_.max_time_offset,
                               options_.time_offset + options_.max_time_offset);
-  return summary.termination_type == ceres::CONVERGENCE;
+  return {summary.termination_type == ceres::CONVERGENCE,
+          summary.IsSolutionUsable() ? summary.final_cost : std::numeric_limits<double>::infinity()};
 }
 
 // Takes a frame's observation out of a landmark that is still seen; a landmark that is anchored there is anchored at

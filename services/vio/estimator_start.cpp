@@ -13,7 +13,8 @@ namespace {
 
 constexpr double kStartTolerance = 1e-9;
 constexpr int kStartIterations = 60;
-constexpr double kTryInterval = 0.2;  // s: a start is tried more often than its frames are kept
+constexpr double kTypicalError = 0.25;  // of a feature in a start, of outlier_error
+constexpr double kTryInterval = 0.2;    // s: a start is tried more often than its frames are kept
 
 }  // namespace
 
@@ -137,7 +138,7 @@ bool Estimator::try_start() {
   };
   const LinearStart start = solve_linear_start(frame_pointers(), landmarks_, extrinsics_, options_.gravity, gyro_bias_,
                                                gyro_bias_known_ ? gyro_bias_sigma_ : std::max(0.1, gyro_bias_sigma_),
-                                               options_.accel_bias_sigma, weight(), options_.pixel_sigma);
+                                               options_.accel_bias_sigma, weight(), pixel_sigma_);
   if (!start.ok) return give_up(start.reason);
   if (start.residual > options_.outlier_error) {
     return give_up(fmt::format("the motion does not fit the IMU ({:.1f} px)", start.residual));
@@ -159,8 +160,9 @@ bool Estimator::try_start() {
   // Position and yaw stay at the first frame; its attitude and biases have moved.
   start_prior(before, gyro_sigma);
   find_outliers();
+  measure_noise(1.0);
   triangulate();
-  const bool settled = optimise(kStartIterations, kStartTolerance);
+  const Solution solution = optimise(kStartIterations, kStartTolerance);
   find_outliers();
 
   std::vector<double> errors;
@@ -168,7 +170,7 @@ bool Estimator::try_start() {
     if (landmark.has_depth && landmark.observations.size() >= 2) errors.push_back(landmark.reprojection_error);
   }
   if (static_cast<int>(errors.size()) < options_.degraded_landmarks) return give_up("too few features fit");
-  if (median(errors) > 2.5 * options_.pixel_sigma) {
+  if (median(errors) > kTypicalError * options_.outlier_error) {
     return give_up(fmt::format("features do not fit the motion ({:.1f} px)", median(errors)));
   }
   const StateValues& state = frames_.back()->state;
@@ -181,9 +183,37 @@ bool Estimator::try_start() {
     return give_up(fmt::format("not enough acceleration yet: scale is uncertain by {:.0f} %", 100 * sigma_scale));
   }
   // Half way up its valley a start is at the wrong scale, and surer of it than at the right one.
-  if (!settled) return give_up("the motion is not settled yet");
+  if (!solution.converged) return give_up("the motion is not settled yet");
+  if (fits_better_at_another_scale(solution.cost)) return give_up("another scale fits better");
   outliers_.clear();
   return true;
+}
+
+// A start can settle in a wrong optimum (5 times too small, and sure of it to 4 %). The window is solved again from the
+// same motion made smaller and larger: what is right comes back to where it was.
+bool Estimator::fits_better_at_another_scale(double cost) {
+  constexpr double kFactors[] = {0.4, 2.5};
+  const SharedValues shared = shared_.state;
+  std::vector<StateValues> states;
+  for (const auto& frame : frames_) states.push_back(frame->state);
+  std::map<int64_t, double> inverse_depths;
+  for (const auto& [id, landmark] : landmarks_) inverse_depths[id] = landmark.inverse_depth;
+  bool better = false;
+  for (const double factor : kFactors) {
+    for (size_t k = 0; k < frames_.size(); ++k) {
+      frames_[k]->state = states[k];
+      frames_[k]->state.p() = states[0].p() + factor * (states[k].p() - states[0].p());
+      frames_[k]->state.v() *= factor;
+    }
+    for (auto& [id, landmark] : landmarks_) landmark.inverse_depth = inverse_depths[id] / factor;
+    const Solution other = optimise(kStartIterations, kStartTolerance);
+    better = better || other.cost < cost - 1;
+  }
+  for (size_t k = 0; k < frames_.size(); ++k) frames_[k]->state = states[k];
+  for (auto& [id, landmark] : landmarks_) landmark.inverse_depth = inverse_depths[id];
+  shared_.state = shared;
+  extrinsics_ = shared.extrinsics();
+  return better;
 }
 
 void Estimator::start_prior(const SharedValues& shared, double gyro_sigma) {

@@ -95,6 +95,20 @@ void Estimator::find_outliers() {
   }
 }
 
+// The noise of tracks from what the solution leaves of them; `share` is how much this counts beside what was known.
+void Estimator::measure_noise(double share) {
+  std::vector<double> variances;  // pixels^2 per axis
+  for (const auto& [id, landmark] : landmarks_) {
+    if (!landmark.tracked || !landmark.has_depth || landmark.observations.size() < 3) continue;
+    // Two residuals a view beside the anchor, and the depth was fitted to them.
+    const auto views = static_cast<double>(landmark.observations.size() - 1);
+    variances.push_back(landmark.reprojection_error * landmark.reprojection_error * views / (2 * views - 1));
+  }
+  if (static_cast<int>(variances.size()) < options_.degraded_landmarks) return;
+  const double measured = std::clamp(std::sqrt(median(variances)), options_.pixel_sigma, options_.max_pixel_sigma);
+  pixel_sigma_ += share * (measured - pixel_sigma_);
+}
+
 std::string Estimator::find_failure() {
   const Frame& newest = *frames_.back();
   const Frame& last = *frames_[frames_.size() - 2];
@@ -125,9 +139,9 @@ std::string Estimator::find_failure() {
   // refused.
   constexpr double kImuError = 25;       // squared standard deviations per dimension
   constexpr double kRefused = 0.5;       // of the landmarks in view
-  constexpr double kTypicalError = 4.0;  // times pixel_sigma, beside some that are refused
+  constexpr double kTypicalError = 0.4;  // of outlier_error, beside some that are refused
   constexpr double kSomeRefused = 0.05;  // of the landmarks in view
-  constexpr double kLargeError = 8.0;    // times pixel_sigma, whatever is refused
+  constexpr double kLargeError = 0.8;    // of outlier_error, whatever is refused
   ImuFactor::Vector15 r;
   ImuFactor::evaluate(*newest.imu, last.state, newest.state, options_.gravity, &r, nullptr);
   const double imu_error = r.squaredNorm() / 15;
@@ -137,8 +151,8 @@ std::string Estimator::find_failure() {
   }
   const double typical = errors.size() >= 5 ? median(errors) : 0.0;
   const bool imu_wrong = imu_error > kImuError;
-  const bool image_wrong = typical > kLargeError * options_.pixel_sigma ||
-                           (typical > kTypicalError * options_.pixel_sigma && refused_ > kSomeRefused * in_view_) ||
+  const bool image_wrong = typical > kLargeError * options_.outlier_error ||
+                           (typical > kTypicalError * options_.outlier_error && refused_ > kSomeRefused * in_view_) ||
                            (in_view_ >= options_.min_landmarks && refused_ > kRefused * in_view_);
   if (imu_wrong || image_wrong) {
     error_time_ += dt;

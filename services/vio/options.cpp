@@ -22,6 +22,7 @@ void read_estimator(ConfigNode node, EstimatorOptions& options) {
   node.read("keyframe_parallax", options.keyframe_parallax, 1.0, 200.0);
   node.read("keyframe_tracked", options.keyframe_tracked, 0.0, 1.0);
   node.read("pixel_sigma", options.pixel_sigma, 0.01, 10.0);
+  node.read("max_pixel_sigma", options.max_pixel_sigma, options.pixel_sigma, 10.0);
   node.read("robust_width", options.robust_width, 0.1, 100.0);
   node.read("outlier_error", options.outlier_error, 0.5, 50.0);
   node.read("min_parallax", options.min_parallax, 0.1, 100.0);

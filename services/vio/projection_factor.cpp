@@ -121,7 +121,12 @@ bool ProjectionFactor::Evaluate(double const* const* parameters, double* residua
   if (fixed) {
     const double* at_i = i_.pose_fixed ? i_.first_estimate.pose.data() : parameters[0];
     const double* at_j = j_.pose_fixed ? j_.first_estimate.pose.data() : parameters[1];
-    if (!evaluate(bearings_, time_offset, extrinsics, weight_, at_i, at_j, inverse_depth, nullptr, &J)) return false;
+    // Where the solution has gone so far that the point would be behind the first estimate, its own Jacobian does.
+    if (!evaluate(bearings_, time_offset, extrinsics, weight_, at_i, at_j, inverse_depth, nullptr, &J) &&
+        !evaluate(bearings_, time_offset, extrinsics, weight_, parameters[0], parameters[1], inverse_depth, nullptr,
+                  &J)) {
+      return false;
+    }
   }
   using PoseJacobian = Eigen::Matrix<double, 2, 7, Eigen::RowMajor>;
   const auto put_pose = [&](int k, const Eigen::Matrix<double, 2, 6>& value) {

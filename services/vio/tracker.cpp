@@ -34,6 +34,7 @@ Tracker::Tracker(const CameraModel& camera, const TrackerOptions& options) : cam
 void Tracker::reset() {
   pyramid_.clear();
   features_.clear();
+  references_.clear();
   R_since_.setIdentity();
   passed_over_ = 0;
 }
@@ -79,6 +80,7 @@ const std::vector<TrackedFeature>& Tracker::track(const cv::Mat& grey, const Eig
       if (previous.size() < followed.size() && followed[previous.size()].id == old.id) previous.push_back(old);
     }
     features_ = std::move(followed);
+    align(image, R_since_);
     reject_outliers(previous, R_since_, rotation_trusted);
   } else {
     features_.clear();
@@ -118,6 +120,27 @@ std::vector<TrackedFeature> Tracker::follow(const std::vector<cv::Mat>& pyramid,
     followed.push_back({features_[i].id, pixel, *ray});
   }
   return followed;
+}
+
+void Tracker::align(const cv::Mat& image, const Eigen::Matrix3d& R_cur_prev) {
+  std::map<int64_t, ReferencePatch> references;
+  for (TrackedFeature& feature : features_) {
+    auto reference = references_.extract(feature.id);
+    auto result = ReferencePatch::Result::kUnlike;
+    if (reference) {
+      reference.mapped().turn(R_cur_prev);
+      result = reference.mapped().align(image, camera_, feature.ray, feature.pixel);
+    }
+    if (result == ReferencePatch::Result::kAligned) {
+      if (const auto ray = camera_.unproject(feature.pixel)) feature.ray = *ray;
+    }
+    if (result != ReferencePatch::Result::kUnlike) {
+      references.insert(std::move(reference));
+    } else if (auto patch = ReferencePatch::make(image, feature.pixel, camera_)) {
+      references.emplace(feature.id, std::move(*patch));
+    }
+  }
+  references_ = std::move(references);
 }
 
 void Tracker::reject_outliers(const std::vector<TrackedFeature>& previous, const Eigen::Matrix3d& R_cur_prev,
@@ -200,6 +223,7 @@ void Tracker::detect(const cv::Mat& image, double gain) {
     const Eigen::Vector2d pixel(corner.at.x, corner.at.y);
     const auto ray = camera_.unproject(pixel);
     if (!ray) continue;
+    if (auto patch = ReferencePatch::make(image, pixel, camera_)) references_.emplace(next_id_, std::move(*patch));
     features_.push_back({next_id_++, pixel, *ray});
     cv::circle(free, corner.at, static_cast<int>(apart), 0, cv::FILLED);
   }

@@ -1,14 +1,16 @@
 // The front end: Shi-Tomasi corners followed by pyramidal Lucas-Kanade.
 //
 // Start positions come from the gyroscope's rotation, so fast turns need no large search; each track is confirmed by
-// tracking back, and where the prediction loses most of them they are followed without it; outliers are found without
-// assuming that the scene is not a plane (two_point.h). New corners are taken one per cell of a grid from the cells
-// that have no track, so that features spread and the cost is bounded whatever the image shows. A single image that
-// nearly nothing can be followed into (blur, a flash, a drop on the lens) is passed over, and the next one tracked from
-// the image before it. Not thread-safe; deterministic.
+// tracking back, and where the prediction loses most of them they are followed without it. Each is then aligned to its
+// first sight (reference_patch.h), so that errors do not add up along a track. Outliers are found without assuming that
+// the scene is not a plane (two_point.h). New corners are taken one per cell of a grid from the cells that have no
+// track, so that features spread and the cost is bounded whatever the image shows. A single image that nearly nothing
+// can be followed into (blur, a flash, a drop on the lens) is passed over, and the next one tracked from the image
+// before it. Not thread-safe; deterministic.
 #pragma once
 
 #include <cstdint>
+#include <map>
 #include <set>
 #include <vector>
 
@@ -16,6 +18,7 @@
 #include <opencv2/core.hpp>
 
 #include "common/camera/camera_model.h"
+#include "services/vio/reference_patch.h"
 #include "services/vio/state.h"
 
 namespace orthonav::vio {
@@ -51,6 +54,7 @@ class Tracker {
  private:
   cv::Mat normalised(const cv::Mat& grey, double* gain) const;
   std::vector<TrackedFeature> follow(const std::vector<cv::Mat>& pyramid, const Eigen::Matrix3d& R_cur_prev) const;
+  void align(const cv::Mat& image, const Eigen::Matrix3d& R_cur_prev);
   void reject_outliers(const std::vector<TrackedFeature>& previous, const Eigen::Matrix3d& R_cur_prev,
                        bool rotation_trusted);
   void detect(const cv::Mat& image, double gain);
@@ -60,6 +64,7 @@ class Tracker {
   std::vector<cv::Mat> pyramid_;
   std::vector<TrackedFeature> features_;  // in the image of pyramid_
   std::vector<TrackedFeature> none_;
+  std::map<int64_t, ReferencePatch> references_;           // of features, by their id
   Eigen::Matrix3d R_since_ = Eigen::Matrix3d::Identity();  // since the image of pyramid_
   int passed_over_ = 0;                                    // images in a row
   int64_t next_id_ = 0;

@@ -33,8 +33,7 @@ Vio::Vio(const VioOptions& options, const CameraModel& camera, const Extrinsics&
       extrinsics_(extrinsics),
       tracker_(camera, options.tracker),
       estimator_(options.estimator, extrinsics, options.imu, camera.focal()),
-      calibration_(options.calibration, extrinsics, options.estimator.gravity, camera.focal(),
-                   options.estimator.pixel_sigma),
+      calibration_(options.calibration, extrinsics, options.estimator.gravity, camera.focal()),
       imu_order_(static_cast<int64_t>(1e6 * options.max_imu_gap), kStampProof),
       image_order_(kLongestPause, kStampProof),
       altitude_order_(kLongestPause, kStampProof) {}

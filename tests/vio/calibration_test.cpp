@@ -22,7 +22,7 @@ struct Verdict {
 
 Verdict judge(const std::vector<SimulatedFrame>& frames, const Extrinsics& extrinsics,
               const std::function<void(ImuSample&)>& change) {
-  CalibrationCheck check({}, extrinsics, 9.81, test_camera().focal(), 0.3);
+  CalibrationCheck check({}, extrinsics, 9.81, test_camera().focal());
   for (const SimulatedFrame& frame : frames) {
     auto imu = frame.imu;
     for (ImuSample& sample : imu) change(sample);

@@ -6,6 +6,7 @@
 
 #include "common/math/align.h"
 #include "common/math/so3.h"
+#include "common/math/statistics.h"
 #include "services/vio/estimator.h"
 #include "services/vio/scale_hint.h"
 #include "tests/vio/simulated_flight.h"
@@ -119,18 +120,23 @@ TEST(Robustness, FindsTheTimeOffsetBetweenCameraAndImu) {
   const Trajectory flight = survey_flight(30, 3);
   SimulatedCamera camera;
   camera.time_offset = 0.012;
-  auto frames = simulate_frames(flight, 40, 1.0, {0.2}, 3, camera);
-  auto estimator = make();
-  double last = 0;
-  const Flown flown = fly(estimator, flight, frames, [&](SimulatedFrame& frame) {
-    // As Vio does: samples between the states' times.
-    const double now = frame.t + estimator.time_offset();
-    if (frame.t > 0) frame.imu = ideal_imu(flight, last, now);
-    last = now;
-  });
-  ASSERT_LT(flown.failed_at, 0) << flown.reason;
-  // Slow motion tells little of it: in 40 s at least half of it is found.
-  EXPECT_NEAR(estimator.time_offset(), 0.012, 0.006);
+  std::vector<double> found;
+  for (unsigned seed = 3; seed < 8; ++seed) {
+    auto frames = simulate_frames(flight, 40, 1.0, {0.2}, seed, camera);
+    auto estimator = make();
+    double last = 0;
+    const Flown flown = fly(estimator, flight, frames, [&](SimulatedFrame& frame) {
+      // As Vio does: samples between the states' times.
+      const double now = frame.t + estimator.time_offset();
+      if (frame.t > 0) frame.imu = ideal_imu(flight, last, now);
+      last = now;
+    });
+    ASSERT_LT(flown.failed_at, 0) << flown.reason;
+    found.push_back(estimator.time_offset());
+    EXPECT_NEAR(found.back(), 0.012, 0.012) << "seed " << seed;
+  }
+  // Slow motion tells little of it in 40 s.
+  EXPECT_NEAR(median(found), 0.012, 0.004);
 }
 
 TEST(Robustness, TheTimeOffsetStaysWithinItsBounds) {

@@ -9,6 +9,8 @@
 #include <opencv2/imgproc.hpp>
 
 #include "common/math/so3.h"
+#include "common/math/statistics.h"
+#include "services/vio/reference_patch.h"
 #include "tests/vio/simulated_flight.h"
 
 namespace orthonav::vio {
@@ -74,6 +76,81 @@ TEST(Tracker, FollowsFeaturesToAFractionOfAPixel) {
   EXPECT_GT(result.before, 120u);
   EXPECT_GT(2 * result.kept, result.before);
   EXPECT_LT(result.worst, 2.0);
+}
+
+TEST(Tracker, ErrorsDoNotAddUpAlongATrack) {
+  constexpr int kFrames = 40;
+  cv::RNG random(3);
+  const auto sensor_noise = [&](const cv::Mat& image) {
+    cv::Mat noise(image.size(), CV_16S), noisy;
+    random.fill(noise, cv::RNG::NORMAL, 0, 2);
+    cv::add(image, noise, noisy, cv::noArray(), CV_8U);
+    return noisy;
+  };
+  Tracker tracker(test_camera(), {});
+  std::map<int64_t, Eigen::Vector3d> where;  // second sight on the ground: the first is at a whole pixel
+  std::map<int64_t, int> age;
+  std::vector<double> errors;  // of tracks of at least 25 images
+  for (int k = 0; k < kFrames; ++k) {
+    const double t = 0.1 * k;
+    const auto& features = tracker.track(sensor_noise(ground().picture(flight(), t)),
+                                         k == 0 ? Eigen::Matrix3d::Identity() : camera_turn(t - 0.1, t), true);
+    const Eigen::Quaterniond q = flight().attitude(t);
+    const Eigen::Vector3d p_C = flight().position(t) + q * downward_camera().p_B_C;
+    for (const TrackedFeature& feature : features) {
+      if (++age[feature.id] == 2) {
+        const Eigen::Vector3d ray = q * (downward_camera().R_B_C * feature.ray);
+        where[feature.id] = p_C - p_C.z() / ray.z() * ray;
+      }
+      if (age[feature.id] < 25) continue;
+      const Eigen::Vector3d seen = downward_camera().R_B_C.transpose() * (q.conjugate() * (where[feature.id] - p_C));
+      errors.push_back((*test_camera().project(seen) - feature.pixel).norm());
+    }
+  }
+  ASSERT_GT(errors.size(), 300u);
+  EXPECT_LT(median(errors), 0.08) << "followed from image to image alone it is three times as much";
+}
+
+TEST(ReferencePatch, IsFoundAgainToAFractionOfAPixelAfterATurn) {
+  const CameraModel camera = test_camera();
+  const cv::Mat image = ground().picture(flight(), 0);
+  // The camera turns about its axis, so every pixel turns about the principal point.
+  const Eigen::Matrix3d R = so3_exp({0, 0, 0.5}).toRotationMatrix();
+  const CameraParameters& c = camera.parameters();
+  const cv::Matx23d turn(R(0, 0), R(0, 1), c.cx - R(0, 0) * c.cx - R(0, 1) * c.cy,  //
+                         R(1, 0), R(1, 1), c.cy - R(1, 0) * c.cx - R(1, 1) * c.cy);
+  cv::Mat turned;
+  cv::warpAffine(image, turned, turn, image.size(), cv::INTER_CUBIC);
+  int found = 0;
+  for (int v = 180; v < 300; v += 12) {
+    for (int u = 200; u < 440; u += 12) {
+      auto patch = ReferencePatch::make(image, Eigen::Vector2d(u, v), camera);
+      if (!patch) continue;
+      patch->turn(R);
+      const Eigen::Vector2d expected = *camera.project(R * *camera.unproject(Eigen::Vector2d(u, v)));
+      Eigen::Vector2d pixel = expected + Eigen::Vector2d(0.5, -0.4);
+      if (patch->align(turned, camera, *camera.unproject(pixel), pixel) != ReferencePatch::Result::kAligned) continue;
+      ++found;
+      EXPECT_LT((pixel - expected).norm(), 0.12);
+    }
+  }
+  EXPECT_GT(found, 100);
+}
+
+TEST(ReferencePatch, RefusesWhatLooksOtherwiseAndWhatIsCut) {
+  const CameraModel camera = test_camera();
+  const cv::Mat image = ground().picture(flight(), 0);
+  const cv::Mat other = TexturedGround(60, 0.06, 99).picture(flight(), 0);
+  const Eigen::Vector2d middle(320, 240);
+  const auto patch = ReferencePatch::make(image, middle, camera);
+  ASSERT_TRUE(patch.has_value());
+  Eigen::Vector2d pixel = middle;
+  EXPECT_EQ(patch->align(other, camera, *camera.unproject(pixel), pixel), ReferencePatch::Result::kUnlike);
+  EXPECT_EQ(pixel, middle);
+  pixel = {5, 240};
+  EXPECT_EQ(patch->align(image, camera, *camera.unproject(pixel), pixel), ReferencePatch::Result::kAtTheBorder);
+  EXPECT_FALSE(ReferencePatch::make(image, {5, 240}, camera).has_value());
+  EXPECT_FALSE(ReferencePatch::make(cv::Mat(480, 640, CV_8U, cv::Scalar(90)), middle, camera).has_value());
 }
 
 TEST(Tracker, SurvivesAJumpOfTheExposure) {
