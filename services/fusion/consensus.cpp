@@ -6,6 +6,7 @@
 #include <Eigen/Cholesky>
 
 #include "common/math/so3.h"
+#include "services/fusion/pose_graph.h"
 
 namespace orthonav::fusion {
 namespace {
@@ -24,9 +25,7 @@ double disagreement(const Sighting& a, const Sighting& b, const FusionOptions& o
   const Eigen::Vector3d sideways = Eigen::Vector3d::UnitZ().cross(moved);
   // What neighbours share drops out of the difference, the less the further they are apart.
   const double forgotten = 2.0 * -std::expm1(-moved.norm() / options.fix.shared_distance);
-  Eigen::Vector3d shared(options.fix.shared_horizontal_stddev, options.fix.shared_horizontal_stddev,
-                         options.fix.shared_vertical_stddev);
-  shared = forgotten * shared.cwiseAbs2();
+  const Eigen::Vector3d shared = forgotten * shared_stddev(options, b.keyframe).cwiseAbs2();
   const double scale_stddev = std::max(a.scale_stddev, b.scale_stddev);
   Eigen::Matrix3d covariance = a.covariance + b.covariance + yaw_stddev * yaw_stddev * sideways * sideways.transpose() +
                                scale_stddev * scale_stddev * moved * moved.transpose();

@@ -136,10 +136,7 @@ void Fusion::look_at_rivals() {
   const NodeState& there = graph_->state(last.keyframe.id);
   rival.p_G_B = last.p_G_B - there.p();  // as an offset: it is carried along with the newest node
   rival.covariance = last.covariance;
-  const FixOptions& fix = options_.fix;
-  rival.covariance.diagonal() +=
-      Eigen::Vector3d(fix.shared_horizontal_stddev, fix.shared_horizontal_stddev, fix.shared_vertical_stddev)
-          .cwiseAbs2();
+  rival.covariance.diagonal() += shared_stddev(options_, last.keyframe).cwiseAbs2();
   rival_ = rival;
   rival_utime_ = last.fix.utime;
   rival_fixes_ = static_cast<int>(rivals->members.size());
@@ -158,12 +155,10 @@ void Fusion::lock(const std::vector<Sighting>& members) {
   StateVector stddev;
   const EdgeOptions& edge = options_.edge;
   const double scale_stddev = scale_stddev_at(next->second.keyframe);
-  const FixOptions& fix = options_.fix;
   // The fixes' heading is the compass's, which has its own term in the graph.
   const double yaw_stddev = next->second.compass ? kAnyHeading : members.back().yaw_stddev;
   stddev << kAnywhere, kAnywhere, kAnywhere, yaw_stddev, edge.tilt_stddev, edge.tilt_stddev, scale_stddev,
-      options_.compass.bias_stddev, fix.shared_horizontal_stddev, fix.shared_horizontal_stddev,
-      fix.shared_vertical_stddev;
+      options_.compass.bias_stddev, shared_stddev(options_, next->second.keyframe);
   graph_ = std::make_unique<PoseGraph>(options_);
   graph_->start(next->second.keyframe, guess, stddev);
   for (;;) {

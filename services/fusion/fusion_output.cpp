@@ -209,7 +209,6 @@ void Fusion::try_bridge() {
   if (!bridge_ || waypoints_.empty() || graph_) return;
   const Keyframe& first = waypoints_.begin()->second.keyframe;
   const EdgeOptions& edge = options_.edge;
-  const FixOptions& fix = options_.fix;
   NodeState guess = bridge_->state;
   const Eigen::Vector3d back = guess.q_G_W() * (first.p_W_B - bridge_p_W_B_);
   guess.x.segment<3>(kPosition) += back;
@@ -217,7 +216,7 @@ void Fusion::try_bridge() {
   stddev.segment<3>(kPosition).array() += scale_stddev_at(first) * back.norm();
   stddev.segment<2>(kTilt).setConstant(edge.tilt_stddev);
   stddev(kScale) = scale_stddev_at(first);
-  stddev.tail<3>() << fix.shared_horizontal_stddev, fix.shared_horizontal_stddev, fix.shared_vertical_stddev;
+  stddev.tail<3>() = shared_stddev(options_, first);
   guess.x.tail<3>().setZero();
   graph_ = std::make_unique<PoseGraph>(options_);
   graph_->start(first, guess, stddev);

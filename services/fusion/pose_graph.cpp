@@ -28,6 +28,12 @@ double working_height(const EdgeOptions& edge, const Keyframe& keyframe) {
   return height >= 1.0 && height <= 1e5 ? height : edge.default_height;
 }
 
+Eigen::Vector3d shared_stddev(const FusionOptions& options, const Keyframe& keyframe) {
+  const double horizontal = std::hypot(options.fix.shared_horizontal_stddev,
+                                       options.edge.tilt_stddev * working_height(options.edge, keyframe));
+  return {horizontal, horizontal, options.fix.shared_vertical_stddev};
+}
+
 Transition transition_between(const FusionOptions& options, const Keyframe& from, const Keyframe& to,
                               const Eigen::Quaterniond& q_G_W) {
   const EdgeOptions& edge = options.edge;
@@ -60,9 +66,8 @@ Transition transition_between(const FusionOptions& options, const Keyframe& from
   forget(kScale, edge.scale_stddev, duration / edge.scale_time);
   forget(kCompassBias, options.compass.bias_stddev, duration / options.compass.bias_time);
   const double way = distance / options.fix.shared_distance;
-  forget(kShared, options.fix.shared_horizontal_stddev, way);
-  forget(kShared + 1, options.fix.shared_horizontal_stddev, way);
-  forget(kShared + 2, options.fix.shared_vertical_stddev, way);
+  const Eigen::Vector3d shared = shared_stddev(options, to);
+  for (int axis = 0; axis < 3; ++axis) forget(kShared + axis, shared(axis), way);
   return transition;
 }
 

@@ -32,6 +32,10 @@ struct Estimate {
 // Height that the odometry's errors grow with, m: it sees its way in pixels.
 double working_height(const EdgeOptions& edge, const Keyframe& keyframe);
 
+// 1 sigma of what neighbouring fixes are all off by at this keyframe, m in G: beside what the map has, a fix leans as
+// the odometry's vertical does, the further the higher.
+Eigen::Vector3d shared_stddev(const FusionOptions& options, const Keyframe& keyframe);
+
 // The motion between two keyframes as the graph sees it; `q_G_W` turns the odometry's covariance into G.
 Transition transition_between(const FusionOptions& options, const Keyframe& from, const Keyframe& to,
                               const Eigen::Quaterniond& q_G_W);

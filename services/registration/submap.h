@@ -100,7 +100,7 @@ class SubmapRegistrar {
   void compare_at_full_resolution(const std::vector<PlaceCandidate>& coarse, const std::vector<Alignment>& candidates,
                                   size_t variant);
   FitOptions fit_options() const;
-  // What compass and odometry say, against what the newest view was described with.
+  // What earlier fixes or else the compass, and the odometry, say, against what the newest view was described with.
   Alignment prior_alignment(size_t variant) const;
   // Whether the search was for a place where the aircraft is expected closely.
   bool is_nearby() const;
