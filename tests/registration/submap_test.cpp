@@ -147,6 +147,21 @@ TEST_F(SubmapTest, EstimatesTheErrorsOfCompassAndScaleFromAnUnknownStart) {
   }
 }
 
+TEST_F(SubmapTest, ACompassesBiasIsLeftBehindFixByFix) {
+  SubmapRegistrar registrar({}, test_camera());
+  registrar.set_map(features(), kMap);
+  const double bias = 0.1;  // rad: twice what the compass says of itself
+  std::vector<double> errors;
+  for (int i = 0; i < 8; ++i) {
+    const Capture capture = ground_.capture({60.0 + 6 * i, -80, 60}, 1.0, 0.03, -0.04);
+    const Fix fix = add(registrar, capture, {1.0 + bias, 0.05});
+    if (fix.valid) errors.push_back(std::abs(bias + fix.heading_correction));
+  }
+  ASSERT_GE(errors.size(), 6u);
+  EXPECT_LT(errors.back(), 0.01);
+  EXPECT_LT(errors.back(), 0.5 * errors.front());
+}
+
 TEST_F(SubmapTest, FindsTheHeadingWhereNoneIsKnown) {
   SubmapOptions options;
   options.search_heading = true;
