@@ -6,6 +6,7 @@
 
 #include "common/math/statistics.h"
 #include "services/vio/estimator.h"
+#include "services/vio/flat_start.h"
 #include "services/vio/initialiser.h"
 
 namespace orthonav::vio {
@@ -136,9 +137,14 @@ bool Estimator::try_start() {
     }
     return false;
   };
-  const LinearStart start = solve_linear_start(frame_pointers(), landmarks_, extrinsics_, options_.gravity, gyro_bias_,
-                                               gyro_bias_known_ ? gyro_bias_sigma_ : std::max(0.1, gyro_bias_sigma_),
-                                               options_.accel_bias_sigma, weight(), pixel_sigma_);
+  LinearStart start = solve_linear_start(frame_pointers(), landmarks_, extrinsics_, options_.gravity, gyro_bias_,
+                                         gyro_bias_known_ ? gyro_bias_sigma_ : std::max(0.1, gyro_bias_sigma_),
+                                         options_.accel_bias_sigma, weight(), pixel_sigma_);
+  if (!start.ok || start.residual > options_.outlier_error) {
+    const LinearStart flat =
+        solve_flat_start(frame_pointers(), landmarks_, extrinsics_, options_.gravity, start.gyro_bias, focal_);
+    if (flat.ok) start = flat;
+  }
   if (!start.ok) return give_up(start.reason);
   if (start.residual > options_.outlier_error) {
     return give_up(fmt::format("the motion does not fit the IMU ({:.1f} px)", start.residual));

@@ -8,6 +8,7 @@
 
 #include "common/math/so3.h"
 #include "common/math/statistics.h"
+#include "services/vio/inertial_chain.h"
 
 namespace orthonav::vio {
 namespace {
@@ -16,30 +17,12 @@ namespace {
 using Vector9 = Eigen::Matrix<double, 9, 1>;
 using Matrix9 = Eigen::Matrix<double, 9, 9>;
 
-// What the IMU alone says of a frame, in B of the first one.
-struct Inertial {
-  double t = 0;  // s
-  Eigen::Matrix3d R = Eigen::Matrix3d::Identity();
-  Eigen::Vector3d alpha = Eigen::Vector3d::Zero(), beta = Eigen::Vector3d::Zero();
-  // Derivatives of alpha and beta with respect to the accelerometer bias.
-  Eigen::Matrix3d alpha_ba = Eigen::Matrix3d::Zero(), beta_ba = Eigen::Matrix3d::Zero();
-};
-
 struct Track {
   Landmark* landmark = nullptr;
   std::vector<size_t> frames;  // indices of the observations' frames
   double scale = 1.0;          // 1 / expected depth: turns metres into radians
   double depth = 0;
 };
-
-// The normal to a bearing: rows span the plane across it.
-Eigen::Matrix<double, 2, 3> across(const Eigen::Vector3d& bearing) {
-  const Eigen::Vector3d helper = std::abs(bearing.z()) < 0.9 ? Eigen::Vector3d::UnitZ() : Eigen::Vector3d::UnitX();
-  Eigen::Matrix<double, 2, 3> N;
-  N.row(0) = bearing.cross(helper).normalized().transpose();
-  N.row(1) = bearing.cross(N.row(0).transpose()).transpose();
-  return N;
-}
 
 // Minimises g' G g - 2 h' g on the sphere |g| = norm.
 Eigen::Vector3d minimise_on_sphere(const Eigen::Matrix3d& G, const Eigen::Vector3d& h, double norm) {
@@ -71,7 +54,7 @@ class Solver {
   // Solves for velocity, gravity and depths at a gyroscope bias; returns the residuals, in standard deviations. They
   // are divided by the depth found: in metres, a scene shrunk onto the camera would always fit best.
   Eigen::VectorXd solve(const Eigen::Vector3d& gyro_bias) {
-    integrate(gyro_bias);
+    inertial_ = inertial_chain(frames_, gyro_bias);
     Matrix9 A = Matrix9::Zero();
     Vector9 b = Vector9::Zero();
     // Until the depths are known, residuals are metres and no prior can be weighed against them: no bias then.
@@ -178,22 +161,6 @@ class Solver {
     Eigen::Vector2d d, rhs;
   };
 
-  void integrate(const Eigen::Vector3d& gyro_bias) {
-    inertial_.assign(frames_.size(), {});
-    for (size_t k = 1; k < frames_.size(); ++k) {
-      const Preintegration& pre = *frames_[k]->imu;
-      const Inertial& from = inertial_[k - 1];
-      Inertial& to = inertial_[k];
-      to.t = from.t + pre.duration();
-      to.alpha =
-          from.alpha + from.beta * pre.duration() + from.R * pre.corrected_alpha(Eigen::Vector3d::Zero(), gyro_bias);
-      to.beta = from.beta + from.R * pre.corrected_beta(Eigen::Vector3d::Zero(), gyro_bias);
-      to.alpha_ba = from.alpha_ba + from.beta_ba * pre.duration() + from.R * pre.jacobian().block<3, 3>(0, 9);
-      to.beta_ba = from.beta_ba + from.R * pre.jacobian().block<3, 3>(6, 9);
-      to.R = from.R * pre.corrected_gamma(gyro_bias).toRotationMatrix();
-    }
-  }
-
   const std::vector<Frame*>& frames_;
   std::vector<Track> tracks_;
   const Extrinsics& extrinsics_;
@@ -254,6 +221,7 @@ LinearStart solve_linear_start(const std::vector<Frame*>& frames, std::map<int64
                                const Extrinsics& extrinsics, double gravity, const Eigen::Vector3d& gyro_bias,
                                double gyro_bias_sigma, double accel_bias_sigma, double weight, double pixel_sigma) {
   LinearStart result;
+  result.gyro_bias = gyro_bias;
   std::vector<Track> tracks;
   for (auto& [id, landmark] : landmarks) {
     if (landmark.observations.size() < 3) continue;
@@ -296,19 +264,7 @@ LinearStart solve_linear_start(const std::vector<Frame*>& frames, std::map<int64
     result.reason = "points fall behind the camera";
     return result;
   }
-  // W: z against gravity, no turn about it beyond that.
-  const Eigen::Quaterniond q_W_B0 = Eigen::Quaterniond::FromTwoVectors(-solver.g(), Eigen::Vector3d::UnitZ());
-  for (size_t k = 0; k < frames.size(); ++k) {
-    const Inertial& inertial = solver.inertial()[k];
-    StateValues& state = frames[k]->state;
-    const Eigen::Vector3d& ba = solver.accel_bias();
-    state.p() = q_W_B0 * (solver.v() * inertial.t + 0.5 * inertial.t * inertial.t * solver.g() + inertial.alpha +
-                          inertial.alpha_ba * ba);
-    state.v() = q_W_B0 * (solver.v() + inertial.t * solver.g() + inertial.beta + inertial.beta_ba * ba);
-    state.q() = q_W_B0 * Eigen::Quaterniond(inertial.R);
-    state.ba() = ba;
-    state.bg() = bias;
-  }
+  set_states(frames, solver.inertial(), solver.v(), solver.g(), solver.accel_bias(), bias);
   for (auto& [id, landmark] : landmarks) landmark.has_depth = false;
   for (const Track& track : solver.tracks()) {
     if (track.depth <= 0) continue;

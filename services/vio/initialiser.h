@@ -22,7 +22,7 @@ namespace orthonav::vio {
 struct LinearStart {
   bool ok = false;
   std::string reason;                                   // why not
-  Eigen::Vector3d gyro_bias = Eigen::Vector3d::Zero();  // rad/s
+  Eigen::Vector3d gyro_bias = Eigen::Vector3d::Zero();  // rad/s, as well as was found
   double residual = 0;                                  // root mean square of the equations, pixels
 };
 
