@@ -12,6 +12,10 @@
 // A new session of the odometry is a new W and a new segment of the graph. If the inertial sensor has carried the
 // position across, the segment begins there with the sensor's uncertainty; else it has to find its place again.
 //
+// A fusion that was killed leaves a Memory. Another one goes on from it when the odometry's session is still the same,
+// has moved on plausibly and the memory is not too old. Its position is then COASTING until one fix agrees with it;
+// until then fixes that agree on another place have nothing to outnumber.
+//
 // A fix of a map with another anchor is converted: G stays where the segment was locked.
 //
 // Deterministic, no clock, not thread-safe. Bad input is reported by its Outcome and changes nothing.
@@ -26,6 +30,7 @@
 #include "common/geo/enu_frame.h"
 #include "services/fusion/consensus.h"
 #include "services/fusion/inertial.h"
+#include "services/fusion/memory.h"
 #include "services/fusion/mode.h"
 #include "services/fusion/options.h"
 #include "services/fusion/pose_graph.h"
@@ -61,6 +66,13 @@ class Fusion {
   // The solution at an inertial sample: the newest odometry state moved on by the inertial sensor.
   Carried add_imu(const ImuSample& sample);
 
+  // What another one needs to go on; nullopt without a position on the map.
+  std::optional<Memory> memory() const;
+  // To be called before anything else. What comes next decides whether it is gone on with: if not, this is a fusion
+  // that knows nothing, but the reset counter. False for a memory of impossible numbers, which is forgotten.
+  bool resume(const Memory& memory);
+  bool resumed() const { return unconfirmed_believed_.has_value(); }  // and not confirmed by a fix yet
+
   bool locked() const { return graph_ != nullptr; }
   int graph_size() const { return graph_ ? graph_->size() : 0; }
   int compass_rejected() const { return compass_rejected_; }
@@ -75,6 +87,7 @@ class Fusion {
   };
 
   void start_segment(int session);
+  void go_on(int session, int64_t utime, const Eigen::Vector3d& p_W_B);
   void leave_map();
   std::optional<CompassReading> compass_near(int64_t utime) const;
   double compass_noise(const CompassReading& reading) const;
@@ -118,6 +131,7 @@ class Fusion {
   int64_t rival_utime_ = 0;
   int rival_fixes_ = 0;
   int believed_ = 0;                                          // fixes since the lock
+  int confirming_ = 0;                                        // those of them that this very fusion has seen
   Eigen::Vector3d confirmed_from_ = Eigen::Vector3d::Zero();  // p_W_B of the first of them
   double confirmed_span_ = 0.0;                               // m from there to the furthest other
   int num_fixes_ = 0;
@@ -125,6 +139,10 @@ class Fusion {
   Estimate newest_;   // of the newest node
   Protection level_;  // there
   std::optional<Solution> last_located_;
+
+  // After a restart of the fusion.
+  std::optional<Memory> memory_;             // to be gone on with
+  std::optional<int> unconfirmed_believed_;  // fixes believed before it, which count once one has been believed since
 
   // While the odometry restarts.
   std::optional<Estimate> before_;  // newest node of the segment before

@@ -26,11 +26,18 @@ Fusion::Propagated Fusion::propagate(const OdometryState& state) {
     result.solution.reset_counter = reset_counter_;
     return result;
   };
+  if (state.has_pose && is_pose(state.p_W_B, state.q_W_B)) {
+    go_on(state.session, state.utime, state.p_W_B);
+  } else if (!state.has_pose && memory_ && state.session != memory_->keyframe.session) {
+    go_on(state.session, state.utime, Eigen::Vector3d::Constant(kUnknown));
+  }
   if (state.session < session_) return refuse(Outcome::kOldSession);
   if (state.session > session_) {
     if (session_ > 0 && state.session - session_ > kLargestSessionGap) return refuse(Outcome::kBadNumber);
     start_segment(state.session);
   }
+  // A session that has begun does not initialise again: the odometry begins another one.
+  if (!state.has_pose && last_state_) return refuse(Outcome::kOutOfOrder);
   if (state.has_pose) {
     if (!is_pose(state.p_W_B, state.q_W_B)) return refuse(Outcome::kBadNumber);
     const std::optional<OdometryState> last = last_state_;
@@ -56,10 +63,14 @@ Fusion::Propagated Fusion::propagate(const OdometryState& state) {
   if (const auto inertial = frame_ ? inertial_.at(state.utime) : std::nullopt; inertial && last_located_) {
     solution = carried(*inertial);
     solution.inertial = false;
-    judge(solution, state.has_pose, true);
+    judge(solution, state.has_pose, seconds_between(odometry_utime_, state.utime) > kBlindAfter);
     return result;
   }
-  if (frame_ && !graph_ && last_located_) leave_map();
+  if (frame_ && !graph_ && last_located_) {
+    // Older than what the inertial sensor goes on from, or ahead of its samples: no reason to give the position up.
+    if (inertial_.newest()) return refuse(Outcome::kOutOfOrder);
+    leave_map();
+  }
   if (state.has_pose) {
     solution.p_G_B = state.p_W_B;
     solution.v_G_B = state.v_W_B;
@@ -82,6 +93,7 @@ void Fusion::judge(Solution& solution, bool odometry, bool blind) {
   evidence.odometry = odometry;
   evidence.located = is_located;
   evidence.blind = blind;
+  evidence.unconfirmed = unconfirmed_believed_.has_value();
   evidence.contradicted = rival_fixes_ >= options_.gate.relock_fixes && rival_utime_ > newest_fix_utime_;
   evidence.level = solution.horizontal_protection_level;
   if (is_located && std::isnan(evidence.level)) {

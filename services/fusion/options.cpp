@@ -103,6 +103,7 @@ FusionOptions FusionOptions::load(const std::filesystem::path& folder) {
   node.read("reacquired_for", options.reacquired_for, 0.0, 3600.0);
   node.read("reset_jump", options.reset_jump, 0.0, 1e6);
   node.read("max_speed", options.max_speed, 1.0, 1000.0);
+  node.read("memory_age", options.memory_age, 0.0, 3600.0);
   read_edge(node.child_or_empty("edge"), options.edge);
   read_fix(node.child_or_empty("fix"), options.fix);
   read_compass(node.child_or_empty("compass"), options.compass);

@@ -80,6 +80,7 @@ struct FusionOptions {
   double reacquired_for = 5.0;  // s that the mode says so
   double reset_jump = 5.0;      // m: a correction larger than this increments the reset counter
   double max_speed = 100.0;     // m/s: faster odometry is a failure
+  double memory_age = 15.0;     // s: what was known so long ago is not gone on with after a restart of the fusion
   double declination = 0.0;     // rad, east positive; aircraft.yaml
   EdgeOptions edge;
   FixOptions fix;

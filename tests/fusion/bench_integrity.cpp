@@ -49,6 +49,12 @@ std::vector<std::pair<std::string, Fault>> all_faults() {
       {"compass freezes", [](auto& x) { f::freeze_compass(x, 60); }},
       {"odometry restarts", [](auto& x) { f::restart_odometry(x, 90, 3.0); }},
       {"odometry gone for 15 s", [](auto& x) { f::restart_odometry(x, 90, 15.0); }},
+      {"fusion is killed", [](auto& x) { x.fusion_killed = 90; }},
+      {"fusion is killed among wrong fixes",
+       [](auto& x) {
+         x.fusion_killed = 100;
+         f::shift_fixes(x, 90, 115, Vector3d(16, 12, 0));
+       }},
       {"odometry's scale 5 % off", [](auto& x) { f::bend_odometry(x, 90, 0.95, 0.0); }},
       {"odometry turns 1 degree", [](auto& x) { f::bend_odometry(x, 90, 1.0, 0.0175); }},
       {"odometry jumps 3 m", [](auto& x) { f::bend_odometry(x, 90, 1.0, 0.0, Vector3d(2.4, 1.8, 0)); }},

@@ -101,5 +101,38 @@ TEST_F(InertialOnAFlight, RefusesWhatNoSensorMeasures) {
   EXPECT_EQ(inertial_.add(flight_.imu[next_]), Outcome::kUsed);
 }
 
+TEST_F(InertialOnAFlight, SaysWhereItWasHoweverLateItIsAsked) {
+  Inertial prompt{InertialOptions{}};
+  const auto rebase_at = [&](Inertial& inertial) {
+    inertial.rebase(truth(50), flight_.states[50].gyro_bias, flight_.states[50].accel_bias);
+  };
+  for (const ImuSample& sample : flight_.imu) {
+    if (sample.utime <= flight_.states[60].utime) prompt.add(sample);
+  }
+  rebase_at(prompt);
+  add_until(90);
+  rebase_at(inertial_);
+  const auto expected = prompt.at(flight_.states[60].utime);
+  const auto late = inertial_.at(flight_.states[60].utime);
+  ASSERT_TRUE(expected && late);
+  EXPECT_EQ(late->utime, flight_.states[60].utime);
+  EXPECT_LT((late->p_G_B - expected->p_G_B).norm(), 1e-9);
+  EXPECT_LT((late->covariance - expected->covariance).norm(), 1e-9);
+  EXPECT_FALSE(inertial_.at(flight_.states[49].utime)) << "before what it goes on from";
+}
+
+TEST_F(InertialOnAFlight, ASampleFromTomorrowDoesNotMakeTheTrueOnesLookOld) {
+  add_until(50);
+  ImuSample tomorrow = flight_.imu[next_];
+  tomorrow.utime += 86'400'000'000;
+  EXPECT_EQ(inertial_.add(tomorrow), Outcome::kUsed);
+  add_until(60);
+  rebase(60);
+  add_until(70);
+  const auto state = inertial_.newest();
+  ASSERT_TRUE(state);
+  EXPECT_LT((state->p_G_B - flight_.truth[70]).norm(), 0.3);
+}
+
 }  // namespace
 }  // namespace orthonav::fusion

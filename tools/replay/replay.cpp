@@ -160,7 +160,8 @@ ReplaySummary replay(const ReplayOptions& options) {
     return std::make_unique<vio::VioService>(node, vio::load_asl_setup(options.asl, vio_options));
   });
   if (!options.config.empty()) {
-    start("fusion", [&](Node& node) { return std::make_unique<fusion::FusionService>(node, options.config); });
+    start("fusion",
+          [&](Node& node) { return std::make_unique<fusion::FusionService>(node, options.config, options.memory); });
   }
   schedule(options.restarts, running);
 
