@@ -52,7 +52,7 @@ Fusion::Fusion(const FusionOptions& options) : options_(options), inertial_(opti
 
 void Fusion::start_segment(int session) {
   session_ = session;
-  unconfirmed_believed_.reset();
+  unconfirmed_ = false;
   waypoints_.clear();
   fixed_.clear();
   if (graph_) before_ = newest_;
@@ -132,7 +132,7 @@ std::optional<Memory> Fusion::memory() const {
   memory.estimate = newest_;
   memory.anchor = frame_->anchor();
   memory.newest_fix_utime = newest_fix_utime_;
-  memory.believed = unconfirmed_believed_.value_or(believed_);
+  memory.believed = believed_;
   memory.reset_counter = reset_counter_;
   return memory;
 }
@@ -167,7 +167,8 @@ void Fusion::go_on(int session, int64_t utime, const Eigen::Vector3d& p_W_B) {
   session_utime_ = memory.session_utime;
   reset_counter_ = memory.reset_counter;
   newest_fix_utime_ = memory.newest_fix_utime;
-  unconfirmed_believed_ = memory.believed;
+  believed_ = memory.believed;
+  unconfirmed_ = true;
   frame_.emplace(memory.anchor);
   waypoints_.emplace(keyframe.id, Waypoint{keyframe, std::nullopt});
   fixed_.emplace(keyframe.id, keyframe.utime);  // a fix of it may be in there already

@@ -13,8 +13,8 @@
 // position across, the segment begins there with the sensor's uncertainty; else it has to find its place again.
 //
 // A fusion that was killed leaves a Memory. Another one goes on from it when the odometry's session is still the same,
-// has moved on plausibly and the memory is not too old. Its position is then COASTING until one fix agrees with it;
-// until then fixes that agree on another place have nothing to outnumber.
+// has moved on plausibly and the memory is not too old. Its position is COASTING until one fix agrees with it. To move
+// it elsewhere takes what it would have taken without the kill: a run of wrong fixes is likelier than a wrong memory.
 //
 // A fix of a map with another anchor is converted: G stays where the segment was locked.
 //
@@ -71,7 +71,7 @@ class Fusion {
   // To be called before anything else. What comes next decides whether it is gone on with: if not, this is a fusion
   // that knows nothing, but the reset counter. False for a memory of impossible numbers, which is forgotten.
   bool resume(const Memory& memory);
-  bool resumed() const { return unconfirmed_believed_.has_value(); }  // and not confirmed by a fix yet
+  bool resumed() const { return unconfirmed_; }  // and not confirmed by a fix yet
 
   bool locked() const { return graph_ != nullptr; }
   int graph_size() const { return graph_ ? graph_->size() : 0; }
@@ -141,8 +141,8 @@ class Fusion {
   std::optional<Solution> last_located_;
 
   // After a restart of the fusion.
-  std::optional<Memory> memory_;             // to be gone on with
-  std::optional<int> unconfirmed_believed_;  // fixes believed before it, which count once one has been believed since
+  std::optional<Memory> memory_;  // to be gone on with
+  bool unconfirmed_ = false;      // gone on with, and no fix has been believed since
 
   // While the odometry restarts.
   std::optional<Estimate> before_;  // newest node of the segment before

@@ -179,7 +179,7 @@ void Fusion::lock(const std::vector<Sighting>& members) {
   num_fixes_ = 0;
   believed_ = 0;
   confirming_ = 0;
-  unconfirmed_believed_.reset();
+  unconfirmed_ = false;
   confirmed_span_ = 0.0;
   newest_fix_utime_ = 0;
   rival_.reset();
@@ -220,8 +220,8 @@ void Fusion::use(const Sighting& sighting) {
   }
   if (confirming_++ == 0) confirmed_from_ = sighting.keyframe.p_W_B;
   confirmed_span_ = std::max(confirmed_span_, (sighting.keyframe.p_W_B - confirmed_from_).norm());
-  believed_ += 1 + unconfirmed_believed_.value_or(0);
-  unconfirmed_believed_.reset();
+  ++believed_;
+  unconfirmed_ = false;
   ++num_fixes_;
   newest_fix_utime_ = std::max(newest_fix_utime_, sighting.fix.utime);
 }

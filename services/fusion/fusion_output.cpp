@@ -93,7 +93,7 @@ void Fusion::judge(Solution& solution, bool odometry, bool blind) {
   evidence.odometry = odometry;
   evidence.located = is_located;
   evidence.blind = blind;
-  evidence.unconfirmed = unconfirmed_believed_.has_value();
+  evidence.unconfirmed = unconfirmed_;
   evidence.contradicted = rival_fixes_ >= options_.gate.relock_fixes && rival_utime_ > newest_fix_utime_;
   evidence.level = solution.horizontal_protection_level;
   if (is_located && std::isnan(evidence.level)) {

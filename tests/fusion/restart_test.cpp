@@ -1,9 +1,12 @@
 // What a fusion that was killed in flight still knows when it is there again.
+#include <algorithm>
 #include <fstream>
+#include <functional>
 
 #include <gtest/gtest.h>
 
 #include "services/fusion/memory.h"
+#include "tests/fusion/faults.h"
 #include "tests/fusion/fly.h"
 #include "tests/support/temporary_folder.h"
 
@@ -124,19 +127,32 @@ TEST_F(KilledFusion, GoesOnWithNothingOfAnotherSessionOrTooOldAndSaysThatThePosi
   starts_anew(other, 50.5);
 }
 
-TEST_F(KilledFusion, AWrongMemoryIsNeverMapAidedAndFixesOverruleIt) {
+TEST_F(KilledFusion, AWrongMemoryIsNeverMapAidedIsSoonLostAndLeftForWhereFixesAgree) {
   Memory memory = memory_at(50);
   memory.estimate.state.x(kPosition) += 80.0;
   memory.believed = 1000;
   Fusion fusion(options_);
   ASSERT_TRUE(fusion.resume(memory));
-  const std::vector<Solution> solutions = play(fusion, 50.5, 70);
+  const std::vector<Solution> solutions = play(fusion, 50.5, 99);
+  const auto lost =
+      std::find_if(solutions.begin(), solutions.end(), [](const Solution& s) { return s.mode == Mode::kLost; });
+  EXPECT_LT(lost - solutions.begin(), 100) << "in frames: a few fixes, over some way";
   for (size_t k = 0; k < solutions.size(); ++k) {
     const bool trusted = solutions[k].mode == Mode::kMapAided || solutions[k].mode == Mode::kReacquired;
     EXPECT_TRUE(!trusted || errors_[k] < 6.0) << "frame " << k;
   }
   EXPECT_EQ(solutions.back().reset_counter, last_.reset_counter + 1);
   EXPECT_LT(errors_.back(), 6.0);
+}
+
+TEST_F(KilledFusion, ARunOfWrongFixesDoesNotMoveItElsewhere) {
+  const Memory memory = memory_at(50);
+  faults::shift_fixes(flight_, 45, 70, Eigen::Vector3d(50, 33, 2));
+  Fusion fusion(options_);
+  ASSERT_TRUE(fusion.resume(memory));
+  const std::vector<Solution> solutions = play(fusion, 50.5, 80);
+  EXPECT_EQ(solutions.back().reset_counter, last_.reset_counter);
+  EXPECT_LT(*std::max_element(errors_.begin(), errors_.end()), 6.0);
 }
 
 TEST_F(KilledFusion, AMemoryOfImpossibleNumbersIsForgotten) {
