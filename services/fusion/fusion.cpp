@@ -52,7 +52,7 @@ Fusion::Fusion(const FusionOptions& options) : options_(options), inertial_(opti
 
 void Fusion::start_segment(int session) {
   session_ = session;
-  unconfirmed_ = false;
+  to_confirm_ = 0;
   waypoints_.clear();
   fixed_.clear();
   if (graph_) before_ = newest_;
@@ -168,7 +168,7 @@ void Fusion::go_on(int session, int64_t utime, const Eigen::Vector3d& p_W_B) {
   reset_counter_ = memory.reset_counter;
   newest_fix_utime_ = memory.newest_fix_utime;
   believed_ = memory.believed;
-  unconfirmed_ = true;
+  to_confirm_ = 1;
   frame_.emplace(memory.anchor);
   waypoints_.emplace(keyframe.id, Waypoint{keyframe, std::nullopt});
   fixed_.emplace(keyframe.id, keyframe.utime);  // a fix of it may be in there already

@@ -10,7 +10,8 @@
 // wrong, and the segment is placed anew. A fix belongs to its own keyframe, however late it comes.
 //
 // A new session of the odometry is a new W and a new segment of the graph. If the inertial sensor has carried the
-// position across, the segment begins there with the sensor's uncertainty; else it has to find its place again.
+// position across, the segment begins there with the sensor's uncertainty, and is COASTING until a fix agrees, or two
+// where it is wide; else it has to find its place again.
 //
 // A fusion that was killed leaves a Memory. Another one goes on from it when the odometry's session is still the same,
 // has moved on plausibly and the memory is not too old. Its position is COASTING until one fix agrees with it. To move
@@ -71,7 +72,8 @@ class Fusion {
   // To be called before anything else. What comes next decides whether it is gone on with: if not, this is a fusion
   // that knows nothing, but the reset counter. False for a memory of impossible numbers, which is forgotten.
   bool resume(const Memory& memory);
-  bool resumed() const { return unconfirmed_; }  // and not confirmed by a fix yet
+  // Whether the position was carried across a restart, and fixes have yet to confirm it.
+  bool unconfirmed() const { return to_confirm_ > 0; }
 
   bool locked() const { return graph_ != nullptr; }
   int graph_size() const { return graph_ ? graph_->size() : 0; }
@@ -142,7 +144,7 @@ class Fusion {
 
   // After a restart of the fusion.
   std::optional<Memory> memory_;  // to be gone on with
-  bool unconfirmed_ = false;      // gone on with, and no fix has been believed since
+  int to_confirm_ = 0;            // fixes to be believed before a position that was carried across counts as map-aided
 
   // While the odometry restarts.
   std::optional<Estimate> before_;  // newest node of the segment before

@@ -179,7 +179,7 @@ void Fusion::lock(const std::vector<Sighting>& members) {
   num_fixes_ = 0;
   believed_ = 0;
   confirming_ = 0;
-  unconfirmed_ = false;
+  to_confirm_ = 0;
   confirmed_span_ = 0.0;
   newest_fix_utime_ = 0;
   rival_.reset();
@@ -221,7 +221,7 @@ void Fusion::use(const Sighting& sighting) {
   if (confirming_++ == 0) confirmed_from_ = sighting.keyframe.p_W_B;
   confirmed_span_ = std::max(confirmed_span_, (sighting.keyframe.p_W_B - confirmed_from_).norm());
   ++believed_;
-  unconfirmed_ = false;
+  to_confirm_ = std::max(0, to_confirm_ - 1);
   ++num_fixes_;
   newest_fix_utime_ = std::max(newest_fix_utime_, sighting.fix.utime);
 }

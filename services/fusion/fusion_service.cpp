@@ -238,8 +238,8 @@ void FusionService::report_mode(const Solution& solution) {
       break;
     case Mode::kCoasting:
       node_.health().set_state(State::kDegraded,
-                               fusion_.resumed()
-                                   ? "gone on after a restart: waiting for a fix that agrees"
+                               fusion_.unconfirmed()
+                                   ? "carried across a restart: waiting for a fix that agrees"
                                    : fmt::format("no fix for {:.0f} s: the position drifts", solution.time_since_fix));
       break;
     case Mode::kLost:

@@ -23,7 +23,7 @@ double seconds_between(int64_t from, int64_t to) {
 void Inertial::rebase(const InertialState& state, const Eigen::Vector3d& gyro_bias, const Eigen::Vector3d& accel_bias) {
   base_ = state;
   state_ = state;
-  gap_ = false;
+  gap_ = guessed_ = false;
   gyro_bias_ = gyro_bias;
   accel_bias_ = accel_bias;
   while (samples_.size() > 1 && samples_[1].utime <= state.utime) samples_.pop_front();
@@ -59,7 +59,9 @@ Outcome Inertial::add(const ImuSample& sample) {
 }
 
 void Inertial::integrate(const ImuSample& from, const ImuSample& to) {
-  if (seconds_between(from.utime, to.utime) > options_.max_gap) gap_ = true;
+  const double dt = seconds_between(from.utime, to.utime);
+  guessed_ = guessed_ || dt > options_.max_gap;
+  gap_ = gap_ || dt > std::max(options_.max_gap, options_.bridged_gap);
   step(from, to, state_);
 }
 
@@ -81,6 +83,22 @@ void Inertial::step(const ImuSample& from, const ImuSample& to, InertialState& s
   state.covariance = F * state.covariance * F.transpose();
   state.covariance.diagonal().segment<3>(3).array() += options_.accel_noise * options_.accel_noise * dt;
   state.covariance.diagonal().tail<3>().array() += options_.gyro_noise * options_.gyro_noise * dt;
+  if (dt > options_.max_gap) state.covariance += of_a_guess(dt);
+}
+
+// What the motion between two samples may have been other than half of each.
+Matrix9d Inertial::of_a_guess(double dt) const {
+  const double a = options_.gap_accel_stddev;
+  const double tilt = options_.gap_tilt_stddev, turn = options_.gap_turn_stddev * dt;
+  Matrix9d covariance = Matrix9d::Zero();
+  for (int axis = 0; axis < 3; ++axis) {
+    const Eigen::Vector2d part(0.5 * a * dt * dt, a * dt);
+    for (int i = 0; i < 2; ++i) {
+      for (int j = 0; j < 2; ++j) covariance(3 * i + axis, 3 * j + axis) = part(i) * part(j);
+    }
+  }
+  covariance.diagonal().tail<3>() << tilt * tilt, tilt * tilt, turn * turn;
+  return covariance;
 }
 
 std::optional<InertialState> Inertial::newest() const {

@@ -49,6 +49,17 @@ std::vector<std::pair<std::string, Fault>> all_faults() {
       {"compass freezes", [](auto& x) { f::freeze_compass(x, 60); }},
       {"odometry restarts", [](auto& x) { f::restart_odometry(x, 90, 3.0); }},
       {"odometry gone for 15 s", [](auto& x) { f::restart_odometry(x, 90, 15.0); }},
+      {"no sensors for 1.2 s, odometry gone for 4",
+       [](auto& x) {
+         f::restart_odometry(x, 90, 4.0);
+         f::silence_imu(x, 90, 91.2);
+       }},
+      {"the same, then 5 s of fixes 30 m off",
+       [](auto& x) {
+         f::restart_odometry(x, 90, 4.0);
+         f::silence_imu(x, 90, 91.2);
+         f::shift_fixes(x, 94, 99, Vector3d(24, 18, 0));
+       }},
       {"fusion is killed", [](auto& x) { x.fusion_killed = 90; }},
       {"fusion is killed among wrong fixes",
        [](auto& x) {
