@@ -108,6 +108,7 @@ struct Node::Impl {
     size_t depth;
     RawHandler handler;
     Node* node = nullptr;
+    lcm::Subscription* on_bus = nullptr;
     size_t waiting = 0;   // guarded by queue_mutex
     int64_t dropped = 0;  // guarded by queue_mutex
     int64_t refused = 0;  // for their seal; guarded by queue_mutex, as the next
@@ -305,7 +306,11 @@ Node::Node(const NodeOptions& options, lcm::LCM& shared) : impl_(std::make_uniqu
   every(std::chrono::seconds(1), [this] { publish_health(); });
 }
 
-Node::~Node() = default;
+Node::~Node() {
+  if (impl_->shared == nullptr) return;
+  // The bus outlives this node: another may take its place.
+  for (const auto& subscription : impl_->subscriptions) impl_->shared->unsubscribe(subscription->on_bus);
+}
 
 lcm::LCM& Node::lcm() {
   return impl_->own ? *impl_->own : *impl_->shared;
@@ -325,7 +330,8 @@ void Node::subscribe_raw(const std::string& channel, Delivery delivery, size_t d
   subscription->handler = std::move(handler);
   subscription->node = this;
   // LCM's own queue of 30 would drop the newest; ours, behind it, does what `delivery` says.
-  lcm().subscribe(channel, &Impl::Subscription::receive, subscription.get())->setQueueCapacity(0);
+  subscription->on_bus = lcm().subscribe(channel, &Impl::Subscription::receive, subscription.get());
+  subscription->on_bus->setQueueCapacity(0);
   impl_->subscriptions.push_back(std::move(subscription));
 }
 

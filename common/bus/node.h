@@ -27,6 +27,8 @@
 
 #include "common/bus/time_guard.h"
 #include "orthonav/health_t.hpp"
+#include "orthonav/map_tile_request_t.hpp"
+#include "orthonav/map_tile_t.hpp"
 
 namespace orthonav {
 
@@ -85,17 +87,18 @@ class Node {
   template <class Msg>
   void subscribe(const std::string& channel, Delivery delivery, std::function<void(const Msg&)> handler,
                  size_t depth = 1) {
-    subscribe_raw(channel, delivery, depth,
-                  [handler = std::move(handler), guard = TimeGuard()](const void* data, size_t size) mutable {
-                    Msg message;
-                    if (message.decode(data, 0, static_cast<int>(size)) < 0) return Handled::kUndecodable;
-                    // Heartbeats come from many boards, whose clocks differ.
-                    if constexpr (!std::is_same_v<Msg, health_t>) {
-                      if (!guard.accept(message.utime)) return Handled::kFromAnotherTime;
-                    }
-                    handler(message);
-                    return Handled::kYes;
-                  });
+    subscribe_raw(
+        channel, delivery, depth,
+        [handler = std::move(handler), guard = TimeGuard(proof_of<Msg>())](const void* data, size_t size) mutable {
+          Msg message;
+          if (message.decode(data, 0, static_cast<int>(size)) < 0) return Handled::kUndecodable;
+          // Heartbeats come from many boards, whose clocks differ.
+          if constexpr (!std::is_same_v<Msg, health_t>) {
+            if (!guard.accept(message.utime)) return Handled::kFromAnotherTime;
+          }
+          handler(message);
+          return Handled::kYes;
+        });
   }
 
   // Sends a message. Failures are counted in the health.
@@ -129,6 +132,12 @@ class Node {
   Health& health();
 
  private:
+  // Parts of a map come when they are asked for, with long pauses between; all else is a stream.
+  template <class Msg>
+  static constexpr int64_t proof_of() {
+    constexpr bool asked_for = std::is_same_v<Msg, map_tile_t> || std::is_same_v<Msg, map_tile_request_t>;
+    return asked_for ? 0 : 2'000'000;
+  }
   enum class Handled { kYes, kUndecodable, kFromAnotherTime };
   using RawHandler = std::function<Handled(const void* data, size_t size)>;
   void subscribe_raw(const std::string& channel, Delivery delivery, size_t depth, RawHandler handler);

@@ -1,25 +1,25 @@
 #include "common/bus/time_guard.h"
 
+#include "common/math/stamps.h"
+
 namespace orthonav {
 
 namespace {
 
-constexpr uint64_t kLongestJump = 30'000'000;  // microseconds
 constexpr int kAgreeing = 3;
-
-// Unsigned, because a made-up stamp may lie anywhere in 64 bits.
-bool near(int64_t a, int64_t b) {
-  const auto x = static_cast<uint64_t>(a), y = static_cast<uint64_t>(b);
-  return (a > b ? x - y : y - x) <= kLongestJump;
-}
 
 }  // namespace
 
 bool TimeGuard::accept(int64_t utime) {
-  if (newest_ != 0 && !near(utime, newest_)) {
-    refused_in_a_row_ = refused_in_a_row_ > 0 && near(utime, refused_) ? refused_in_a_row_ + 1 : 1;
+  if (newest_ != 0 && of_another_time(utime, newest_)) {
+    if (refused_in_a_row_ == 0 || of_another_time(utime, refused_)) {
+      refused_in_a_row_ = 0;
+      first_refused_ = utime;
+    }
+    ++refused_in_a_row_;
     refused_ = utime;
-    if (refused_in_a_row_ < kAgreeing) return false;
+    // Neighbours are no further apart than 30 s: the difference fits.
+    if (refused_in_a_row_ < kAgreeing || utime < first_refused_ || utime - first_refused_ < proof_) return false;
     newest_ = utime;
   }
   refused_in_a_row_ = 0;

@@ -7,6 +7,7 @@
 #include <Eigen/Cholesky>
 
 #include "common/math/so3.h"
+#include "common/math/stamps.h"
 #include "services/fusion/plausible.h"
 
 namespace orthonav::fusion {
@@ -51,6 +52,7 @@ Fusion::Fusion(const FusionOptions& options) : options_(options), inertial_(opti
 
 void Fusion::start_segment(int session) {
   session_ = session;
+  to_confirm_ = 0;
   waypoints_.clear();
   fixed_.clear();
   if (graph_) before_ = newest_;
@@ -59,6 +61,7 @@ void Fusion::start_segment(int session) {
   rival_.reset();
   rival_fixes_ = 0;
   believed_ = 0;
+  confirming_ = 0;
   confirmed_span_ = 0.0;
   num_fixes_ = 0;
   session_utime_ = 0;
@@ -78,6 +81,7 @@ void Fusion::leave_map() {
 
 Outcome Fusion::add_keyframe(const Keyframe& keyframe) {
   if (!is_pose(keyframe.p_W_B, keyframe.q_W_B) || keyframe.session < 0 || keyframe.id < 0) return Outcome::kBadNumber;
+  go_on(keyframe.session, keyframe.utime, keyframe.p_W_B);
   if (keyframe.session < session_) return Outcome::kOldSession;
   if (keyframe.session > session_) {
     if (session_ > 0 && keyframe.session - session_ > kLargestSessionGap) return Outcome::kBadNumber;
@@ -120,8 +124,64 @@ Outcome Fusion::add_keyframe(const Keyframe& keyframe) {
   return outcome;
 }
 
+std::optional<Memory> Fusion::memory() const {
+  if (!graph_) return std::nullopt;
+  Memory memory;
+  memory.keyframe = graph_->newest();
+  memory.session_utime = session_utime_;
+  memory.estimate = newest_;
+  memory.anchor = frame_->anchor();
+  memory.newest_fix_utime = newest_fix_utime_;
+  memory.believed = believed_;
+  memory.reset_counter = reset_counter_;
+  return memory;
+}
+
+bool Fusion::resume(const Memory& memory) {
+  const Keyframe& keyframe = memory.keyframe;
+  const Estimate& estimate = memory.estimate;
+  const bool counts = memory.believed >= 0 && memory.reset_counter >= 0 && keyframe.id >= 0 && keyframe.session > 0;
+  const bool numbers = is_pose(keyframe.p_W_B, keyframe.q_W_B) && is_place(memory.anchor) &&
+                       estimate.state.x.allFinite() && estimate.state.p().norm() < kFarthest &&
+                       std::abs(estimate.state.log_scale()) < 1.0 && estimate.covariance.allFinite();
+  if (!counts || !numbers || estimate.covariance.llt().info() != Eigen::Success) return false;
+  memory_ = memory;
+  return true;
+}
+
+// With the first message of the odometry.
+void Fusion::go_on(int session, int64_t utime, const Eigen::Vector3d& p_W_B) {
+  if (!memory_) return;
+  const Memory memory = *memory_;
+  memory_.reset();
+  const Keyframe& keyframe = memory.keyframe;
+  const double age = seconds_between(keyframe.utime, utime);
+  const bool continues = session == keyframe.session && age >= 0.0 && age <= options_.memory_age &&
+                         (p_W_B - keyframe.p_W_B).norm() <= options_.max_speed * std::max(1e-3, age);
+  if (!continues) {
+    // What comes has nothing to do with the positions that were given out before.
+    reset_counter_ = memory.reset_counter + 1;
+    return;
+  }
+  session_ = session;
+  session_utime_ = memory.session_utime;
+  reset_counter_ = memory.reset_counter;
+  newest_fix_utime_ = memory.newest_fix_utime;
+  believed_ = memory.believed;
+  to_confirm_ = 1;
+  frame_.emplace(memory.anchor);
+  waypoints_.emplace(keyframe.id, Waypoint{keyframe, std::nullopt});
+  fixed_.emplace(keyframe.id, keyframe.utime);  // a fix of it may be in there already
+  graph_ = std::make_unique<PoseGraph>(options_);
+  graph_->start(keyframe, memory.estimate);
+  update_newest();
+}
+
 Outcome Fusion::add_compass(const CompassReading& reading) {
-  if (!std::isfinite(reading.heading)) return Outcome::kBadNumber;
+  // Whatever range headings are given in, they are of one turn or two.
+  if (!(std::abs(reading.heading) <= kLargestHeading)) return Outcome::kBadNumber;
+  if (reading.heading_stddev > kLargestHeading) return Outcome::kBadNumber;
+  if (!compass_.empty() && of_another_time(reading.utime, compass_.back().utime)) compass_.clear();
   if (!compass_.empty() && reading.utime <= compass_.back().utime) return Outcome::kOutOfOrder;
   CompassReading turned = reading;
   turned.heading = true_heading(reading.heading, options_.declination);

@@ -10,7 +10,12 @@
 // wrong, and the segment is placed anew. A fix belongs to its own keyframe, however late it comes.
 //
 // A new session of the odometry is a new W and a new segment of the graph. If the inertial sensor has carried the
-// position across, the segment begins there with the sensor's uncertainty; else it has to find its place again.
+// position across, the segment begins there with the sensor's uncertainty, and is COASTING until a fix agrees, or two
+// where it is wide; else it has to find its place again.
+//
+// A fusion that was killed leaves a Memory. Another one goes on from it when the odometry's session is still the same,
+// has moved on plausibly and the memory is not too old. Its position is COASTING until one fix agrees with it. To move
+// it elsewhere takes what it would have taken without the kill: a run of wrong fixes is likelier than a wrong memory.
 //
 // A fix of a map with another anchor is converted: G stays where the segment was locked.
 //
@@ -26,6 +31,7 @@
 #include "common/geo/enu_frame.h"
 #include "services/fusion/consensus.h"
 #include "services/fusion/inertial.h"
+#include "services/fusion/memory.h"
 #include "services/fusion/mode.h"
 #include "services/fusion/options.h"
 #include "services/fusion/pose_graph.h"
@@ -61,6 +67,14 @@ class Fusion {
   // The solution at an inertial sample: the newest odometry state moved on by the inertial sensor.
   Carried add_imu(const ImuSample& sample);
 
+  // What another one needs to go on; nullopt without a position on the map.
+  std::optional<Memory> memory() const;
+  // To be called before anything else. What comes next decides whether it is gone on with: if not, this is a fusion
+  // that knows nothing, but the reset counter. False for a memory of impossible numbers, which is forgotten.
+  bool resume(const Memory& memory);
+  // Whether the position was carried across a restart, and fixes have yet to confirm it.
+  bool unconfirmed() const { return to_confirm_ > 0; }
+
   bool locked() const { return graph_ != nullptr; }
   int graph_size() const { return graph_ ? graph_->size() : 0; }
   int compass_rejected() const { return compass_rejected_; }
@@ -75,6 +89,7 @@ class Fusion {
   };
 
   void start_segment(int session);
+  void go_on(int session, int64_t utime, const Eigen::Vector3d& p_W_B);
   void leave_map();
   std::optional<CompassReading> compass_near(int64_t utime) const;
   double compass_noise(const CompassReading& reading) const;
@@ -118,6 +133,7 @@ class Fusion {
   int64_t rival_utime_ = 0;
   int rival_fixes_ = 0;
   int believed_ = 0;                                          // fixes since the lock
+  int confirming_ = 0;                                        // those of them that this very fusion has seen
   Eigen::Vector3d confirmed_from_ = Eigen::Vector3d::Zero();  // p_W_B of the first of them
   double confirmed_span_ = 0.0;                               // m from there to the furthest other
   int num_fixes_ = 0;
@@ -125,6 +141,10 @@ class Fusion {
   Estimate newest_;   // of the newest node
   Protection level_;  // there
   std::optional<Solution> last_located_;
+
+  // After a restart of the fusion.
+  std::optional<Memory> memory_;  // to be gone on with
+  int to_confirm_ = 0;            // fixes to be believed before a position that was carried across counts as map-aided
 
   // While the odometry restarts.
   std::optional<Estimate> before_;  // newest node of the segment before

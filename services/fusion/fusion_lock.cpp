@@ -173,6 +173,8 @@ void Fusion::lock(const std::vector<Sighting>& members) {
 
   num_fixes_ = 0;
   believed_ = 0;
+  confirming_ = 0;
+  to_confirm_ = 0;
   confirmed_span_ = 0.0;
   newest_fix_utime_ = 0;
   rival_.reset();
@@ -211,9 +213,10 @@ void Fusion::use(const Sighting& sighting) {
     const double stddev = std::hypot(fix.scale_stddev / fix.scale, options_.fix.scale_stddev_floor);
     graph_->add_scale(id, std::log(fix.scale), shared * stddev);
   }
-  if (believed_ == 0) confirmed_from_ = sighting.keyframe.p_W_B;
+  if (confirming_++ == 0) confirmed_from_ = sighting.keyframe.p_W_B;
   confirmed_span_ = std::max(confirmed_span_, (sighting.keyframe.p_W_B - confirmed_from_).norm());
   ++believed_;
+  to_confirm_ = std::max(0, to_confirm_ - 1);
   ++num_fixes_;
   newest_fix_utime_ = std::max(newest_fix_utime_, sighting.fix.utime);
 }
@@ -230,7 +233,7 @@ void Fusion::update_newest() {
   level_ = Protection();
   const int64_t now = graph_->newest().utime;
   const ProtectionOptions& protection = options_.protection;
-  if (believed_ < protection.confirm_fixes || confirmed_span_ < protection.confirm_distance) return;
+  if (confirming_ < protection.confirm_fixes || confirmed_span_ < protection.confirm_distance) return;
   const auto exposure = static_cast<int64_t>(1e6 * protection.exposure);
   const std::optional<Estimate> without = graph_->without_fixes_after(now - exposure);
   if (!without) return;

@@ -12,6 +12,8 @@ namespace {
 
 // Without an odometry state for so long the position rests on the inertial sensor alone, s.
 constexpr double kBlindAfter = 1.0;
+// Standard deviation, m, of a position carried across a restart, beyond which one fix does not confirm it.
+constexpr double kWide = 5.0;
 
 using Rows6 = Eigen::Matrix<double, 6, kStates>;
 
@@ -26,11 +28,18 @@ Fusion::Propagated Fusion::propagate(const OdometryState& state) {
     result.solution.reset_counter = reset_counter_;
     return result;
   };
+  if (state.has_pose && is_pose(state.p_W_B, state.q_W_B)) {
+    go_on(state.session, state.utime, state.p_W_B);
+  } else if (!state.has_pose && memory_ && state.session != memory_->keyframe.session) {
+    go_on(state.session, state.utime, Eigen::Vector3d::Constant(kUnknown));
+  }
   if (state.session < session_) return refuse(Outcome::kOldSession);
   if (state.session > session_) {
     if (session_ > 0 && state.session - session_ > kLargestSessionGap) return refuse(Outcome::kBadNumber);
     start_segment(state.session);
   }
+  // A session that has begun does not initialise again: the odometry begins another one.
+  if (!state.has_pose && last_state_) return refuse(Outcome::kOutOfOrder);
   if (state.has_pose) {
     if (!is_pose(state.p_W_B, state.q_W_B)) return refuse(Outcome::kBadNumber);
     const std::optional<OdometryState> last = last_state_;
@@ -56,10 +65,16 @@ Fusion::Propagated Fusion::propagate(const OdometryState& state) {
   if (const auto inertial = frame_ ? inertial_.at(state.utime) : std::nullopt; inertial && last_located_) {
     solution = carried(*inertial);
     solution.inertial = false;
-    judge(solution, state.has_pose, true);
+    // Late states do not bring back what the inertial sensor's samples have said since.
+    const int64_t now = std::max(state.utime, inertial_.newest()->utime);
+    judge(solution, state.has_pose, seconds_between(odometry_utime_, now) > kBlindAfter);
     return result;
   }
-  if (frame_ && !graph_ && last_located_) leave_map();
+  if (frame_ && !graph_ && last_located_) {
+    // Older than what the inertial sensor goes on from, or ahead of its samples: no reason to give the position up.
+    if (inertial_.newest()) return refuse(Outcome::kOutOfOrder);
+    leave_map();
+  }
   if (state.has_pose) {
     solution.p_G_B = state.p_W_B;
     solution.v_G_B = state.v_W_B;
@@ -82,6 +97,7 @@ void Fusion::judge(Solution& solution, bool odometry, bool blind) {
   evidence.odometry = odometry;
   evidence.located = is_located;
   evidence.blind = blind;
+  evidence.unconfirmed = to_confirm_ > 0;
   evidence.contradicted = rival_fixes_ >= options_.gate.relock_fixes && rival_utime_ > newest_fix_utime_;
   evidence.level = solution.horizontal_protection_level;
   if (is_located && std::isnan(evidence.level)) {
@@ -178,8 +194,8 @@ Solution Fusion::carried(const InertialState& state) {
       state.covariance.bottomLeftCorner<3, 3>(), state.covariance.bottomRightCorner<3, 3>();
   solution.velocity_covariance = state.covariance.block<3, 3>(3, 3);
   Protection level;
-  // An odometry that has gone may have been wrong before it went: no bound.
-  if (graph_ && seconds_between(odometry_utime_, state.utime) <= kBlindAfter) {
+  // An odometry that has gone may have been wrong before it went, and a guess bounds nothing: no level.
+  if (graph_ && !inertial_.guessed() && seconds_between(odometry_utime_, state.utime) <= kBlindAfter) {
     level = carried_on({solution.horizontal_protection_level, solution.vertical_protection_level}, then,
                        state.covariance.topLeftCorner<3, 3>());
   }
@@ -218,6 +234,8 @@ void Fusion::try_bridge() {
   stddev(kScale) = scale_stddev_at(first);
   stddev.tail<3>() = shared_stddev(options_, first);
   guess.x.tail<3>().setZero();
+  // The wider, the more places lie within the gate of the first fix.
+  to_confirm_ = stddev.segment<2>(kPosition).maxCoeff() > kWide ? 2 : 1;
   graph_ = std::make_unique<PoseGraph>(options_);
   graph_->start(first, guess, stddev);
   for (auto next = std::next(waypoints_.begin()); next != waypoints_.end(); ++next) append(next->second);

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <utility>
 
 #include <fmt/format.h>
 
@@ -11,6 +12,8 @@
 
 namespace orthonav::fusion {
 namespace {
+
+constexpr int64_t kAnswersFor = 1'000'000;  // microseconds after a good odometry state
 
 using RowMajor3 = Eigen::Matrix<double, 3, 3, Eigen::RowMajor>;
 using RowMajor6 = Eigen::Matrix<double, 6, 6, Eigen::RowMajor>;
@@ -63,8 +66,12 @@ nav_state_t message_of(const Solution& solution) {
 
 }  // namespace
 
-FusionService::FusionService(Node& node, const std::filesystem::path& config_folder)
-    : node_(node), fusion_(FusionOptions::load(config_folder)) {
+FusionService::FusionService(Node& node, const std::filesystem::path& config_folder, std::filesystem::path memory_file)
+    : node_(node), fusion_(FusionOptions::load(config_folder)), memory_file_(std::move(memory_file)) {
+  if (!memory_file_.empty()) {
+    const auto memory = read_memory(memory_file_);
+    if (memory && fusion_.resume(*memory)) node_.health().add("memory.read");
+  }
   node_.health().set_state(Health::State::kStarting, "waiting for the odometry (VIO_STATE)");
   node_.subscribe<vio_state_t>(channel::kVioState, Delivery::kAll, [this](const vio_state_t& m) { on_state(m); });
   node_.subscribe<vio_keyframe_t>(channel::kVioKeyframe, Delivery::kAll,
@@ -89,7 +96,12 @@ void FusionService::on_state(const vio_state_t& message) {
   if (propagated.outcome != Outcome::kUsed) {
     node_.health().reject(fmt::format("state.{}", to_string(propagated.outcome)),
                           "odometry states refused: look at the health of vio");
+    // Nonsense between good states is not answered; when nothing else comes, its answer says that there is no pose.
+    const bool carried_on = newest_imu_utime_ != 0 && newest_imu_utime_ - newest_state_utime_ < kAnswersFor;
+    if (!carried_on) publish(propagated.solution);
+    return;
   }
+  newest_state_utime_ = state.utime;
   height_above_ground_ = message.height_above_ground;
   publish(propagated.solution);
   report_mode(propagated.solution);
@@ -106,6 +118,7 @@ void FusionService::on_imu(const imu_t& message) {
     node_.health().reject(fmt::format("imu.{}", to_string(carried.outcome)),
                           "IMU samples refused: look at the health of ingest");
   }
+  if (carried.outcome == Outcome::kUsed) newest_imu_utime_ = sample.utime;
   if (carried.solution) publish(*carried.solution);
 }
 
@@ -116,6 +129,12 @@ void FusionService::on_compass(const compass_t& message) {
     node_.health().reject(fmt::format("compass.{}", to_string(outcome)),
                           "compass readings refused: the heading rests on the map alone");
   }
+}
+
+void FusionService::remember() {
+  if (memory_file_.empty()) return;
+  const auto memory = fusion_.memory();
+  if (memory && !write_memory(memory_file_, *memory)) node_.health().add("memory.not_written");
 }
 
 void FusionService::publish(const Solution& solution) {
@@ -146,6 +165,7 @@ void FusionService::on_keyframe(const vio_keyframe_t& message) {
   if (keyframe.session == last_keyframe_session_ && keyframe.id > last_keyframe_id_ + 1) {
     node_.health().add("keyframes.missed", keyframe.id - last_keyframe_id_ - 1);
   }
+  remember();
   last_keyframe_session_ = keyframe.session;
   last_keyframe_id_ = keyframe.id;
   node_.health().set("graph.nodes", fusion_.graph_size());
@@ -190,6 +210,7 @@ void FusionService::on_fix(const map_fix_t& message) {
       node_.health().set("solve.ms", solve_ms_);
       node_.health().set("graph.nodes", fusion_.graph_size());
       node_.health().set("odometry.scale", fusion_.scale());
+      remember();
       break;
     case Outcome::kWaiting:
     case Outcome::kOutlier:
@@ -217,7 +238,9 @@ void FusionService::report_mode(const Solution& solution) {
       break;
     case Mode::kCoasting:
       node_.health().set_state(State::kDegraded,
-                               fmt::format("no fix for {:.0f} s: the position drifts", solution.time_since_fix));
+                               fusion_.unconfirmed()
+                                   ? "carried across a restart: waiting for a fix that agrees"
+                                   : fmt::format("no fix for {:.0f} s: the position drifts", solution.time_since_fix));
       break;
     case Mode::kLost:
       node_.health().set_state(State::kFailed, "the position is lost: waiting for fixes that agree");

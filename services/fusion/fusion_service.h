@@ -16,8 +16,9 @@ namespace orthonav::fusion {
 
 class FusionService final : public Service {
  public:
-  // Reads fusion.yaml and aircraft.yaml of the folder. Throws ConfigError with file and line.
-  FusionService(Node& node, const std::filesystem::path& config_folder);
+  // Reads fusion.yaml and aircraft.yaml of the folder. Throws ConfigError with file and line. `memory_file` is where
+  // the service keeps what it goes on with after it was killed (memory.h); empty: nowhere.
+  FusionService(Node& node, const std::filesystem::path& config_folder, std::filesystem::path memory_file = {});
 
  private:
   void on_state(const vio_state_t& message);
@@ -27,9 +28,13 @@ class FusionService final : public Service {
   void on_imu(const imu_t& message);
   void publish(const Solution& solution);
   void report_mode(const Solution& solution);
+  void remember();
 
   Node& node_;
   Fusion fusion_;
+  std::filesystem::path memory_file_;
+  int64_t newest_state_utime_ = 0;         // of those accepted
+  int64_t newest_imu_utime_ = 0;           // likewise
   double height_above_ground_ = kUnknown;  // of the newest odometry state
   int last_keyframe_session_ = 0;
   int last_keyframe_id_ = -1;

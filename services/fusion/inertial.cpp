@@ -4,6 +4,7 @@
 #include <cmath>
 
 #include "common/math/so3.h"
+#include "common/math/stamps.h"
 
 namespace orthonav::fusion {
 namespace {
@@ -22,7 +23,7 @@ double seconds_between(int64_t from, int64_t to) {
 void Inertial::rebase(const InertialState& state, const Eigen::Vector3d& gyro_bias, const Eigen::Vector3d& accel_bias) {
   base_ = state;
   state_ = state;
-  gap_ = false;
+  gap_ = guessed_ = false;
   gyro_bias_ = gyro_bias;
   accel_bias_ = accel_bias;
   while (samples_.size() > 1 && samples_[1].utime <= state.utime) samples_.pop_front();
@@ -42,6 +43,10 @@ Outcome Inertial::add(const ImuSample& sample) {
       sample.specific_force.norm() > kHardest) {
     return Outcome::kBadNumber;
   }
+  if (!samples_.empty() && of_another_time(sample.utime, samples_.back().utime)) {
+    samples_.clear();
+    base_.reset();
+  }
   if (!samples_.empty() && sample.utime <= samples_.back().utime) return Outcome::kOutOfOrder;
   if (base_ && sample.utime > base_->utime) {
     ImuSample before = samples_.empty() ? sample : samples_.back();
@@ -55,30 +60,56 @@ Outcome Inertial::add(const ImuSample& sample) {
 
 void Inertial::integrate(const ImuSample& from, const ImuSample& to) {
   const double dt = seconds_between(from.utime, to.utime);
-  if (dt > options_.max_gap) gap_ = true;
+  guessed_ = guessed_ || dt > options_.max_gap;
+  gap_ = gap_ || dt > std::max(options_.max_gap, options_.bridged_gap);
+  step(from, to, state_);
+}
+
+void Inertial::step(const ImuSample& from, const ImuSample& to, InertialState& state) const {
+  const double dt = seconds_between(from.utime, to.utime);
   const Eigen::Vector3d rate = 0.5 * (from.angular_rate + to.angular_rate) - gyro_bias_;
   const Eigen::Vector3d force = 0.5 * (from.specific_force + to.specific_force) - accel_bias_;
-  const Eigen::Quaterniond middle = state_.q_G_B * so3_exp(0.5 * dt * rate);
+  const Eigen::Quaterniond middle = state.q_G_B * so3_exp(0.5 * dt * rate);
   const Eigen::Vector3d force_G = middle * force;
   const Eigen::Vector3d acceleration = force_G - options_.gravity * Eigen::Vector3d::UnitZ();
-  state_.p_G_B += dt * state_.v_G_B + 0.5 * dt * dt * acceleration;
-  state_.v_G_B += dt * acceleration;
-  state_.q_G_B = (state_.q_G_B * so3_exp(dt * rate)).normalized();
-  state_.utime = to.utime;
+  state.p_G_B += dt * state.v_G_B + 0.5 * dt * dt * acceleration;
+  state.v_G_B += dt * acceleration;
+  state.q_G_B = (state.q_G_B * so3_exp(dt * rate)).normalized();
+  state.utime = to.utime;
 
   Matrix9d F = Matrix9d::Identity();
   F.block<3, 3>(0, 3) = dt * Eigen::Matrix3d::Identity();
   F.block<3, 3>(3, 6) = -dt * skew(force_G);
-  state_.covariance = F * state_.covariance * F.transpose();
-  state_.covariance.diagonal().segment<3>(3).array() += options_.accel_noise * options_.accel_noise * dt;
-  state_.covariance.diagonal().tail<3>().array() += options_.gyro_noise * options_.gyro_noise * dt;
+  state.covariance = F * state.covariance * F.transpose();
+  state.covariance.diagonal().segment<3>(3).array() += options_.accel_noise * options_.accel_noise * dt;
+  state.covariance.diagonal().tail<3>().array() += options_.gyro_noise * options_.gyro_noise * dt;
+  if (dt > options_.max_gap) state.covariance += of_a_guess(dt);
+}
+
+// What the motion between two samples may have been other than half of each.
+Matrix9d Inertial::of_a_guess(double dt) const {
+  const double a = options_.gap_accel_stddev;
+  const double tilt = options_.gap_tilt_stddev, turn = options_.gap_turn_stddev * dt;
+  Matrix9d covariance = Matrix9d::Zero();
+  for (int axis = 0; axis < 3; ++axis) {
+    const Eigen::Vector2d part(0.5 * a * dt * dt, a * dt);
+    for (int i = 0; i < 2; ++i) {
+      for (int j = 0; j < 2; ++j) covariance(3 * i + axis, 3 * j + axis) = part(i) * part(j);
+    }
+  }
+  covariance.diagonal().tail<3>() << tilt * tilt, tilt * tilt, turn * turn;
+  return covariance;
 }
 
 std::optional<InertialState> Inertial::newest() const {
   if (!base_ || gap_ || state_.utime <= base_->utime) return std::nullopt;
   const double t = seconds_between(base_->utime, state_.utime);
   if (t > options_.max_time) return std::nullopt;
-  InertialState state = state_;
+  return with_biases(state_);
+}
+
+InertialState Inertial::with_biases(InertialState state) const {
+  const double t = seconds_between(base_->utime, state.utime);
   // A constant bias about the axes of G: its part in position, velocity and attitude after t seconds. A turned "up"
   // leaks gravity into the acceleration.
   const double a = options_.accel_bias_stddev;
@@ -101,7 +132,20 @@ std::optional<InertialState> Inertial::newest() const {
 
 std::optional<InertialState> Inertial::at(int64_t utime) const {
   std::optional<InertialState> state = newest();
-  if (!state || std::abs(utime - state->utime) > kNear) return std::nullopt;
+  if (!state || utime - state->utime > kNear) return std::nullopt;
+  if (utime < state->utime) {
+    if (utime <= base_->utime) return std::nullopt;
+    InertialState then = *base_;
+    ImuSample before = samples_.front();
+    before.utime = base_->utime;
+    for (const ImuSample& sample : samples_) {
+      if (sample.utime <= base_->utime) continue;
+      if (sample.utime > utime) break;
+      step(before, sample, then);
+      before = sample;
+    }
+    state = with_biases(then);
+  }
   state->p_G_B += seconds_between(state->utime, utime) * state->v_G_B;
   state->utime = utime;
   return state;

@@ -38,22 +38,29 @@ class Inertial {
   // Nothing is known until the next rebase(); samples are kept.
   void invalidate() { base_.reset(); }
 
-  // kUsed, kBadNumber, or kOutOfOrder for a sample that is not newer than the last.
+  // kUsed, kBadNumber, or kOutOfOrder for a sample that is not newer than the last. One of another time (stamps.h) is
+  // the first of a new sequence.
   Outcome add(const ImuSample& sample);
 
   // The state at the newest sample, with the whole covariance; nullopt before rebase(), beyond `max_time` after it,
-  // and after a gap in the samples.
+  // and after a gap in the samples that is too long to be bridged.
   std::optional<InertialState> newest() const;
-  // The same moved on, by its velocity, to a time close to it (0.1 s); nullopt when it is not.
+  // Whether there is a bridged gap since the base.
+  bool guessed() const { return guessed_; }
+  // The same at a time since the base, however late it is asked for, or up to 0.1 s after the newest sample.
   std::optional<InertialState> at(int64_t utime) const;
 
  private:
   void integrate(const ImuSample& from, const ImuSample& to);
+  void step(const ImuSample& from, const ImuSample& to, InertialState& state) const;
+  Matrix9d of_a_guess(double dt) const;
+  InertialState with_biases(InertialState state) const;
 
   InertialOptions options_;
   std::deque<ImuSample> samples_;      // from just before the base on
   std::optional<InertialState> base_;  // as given
   InertialState state_;                // at the newest sample; covariance without the biases' part
+  bool guessed_ = false;               // since the base
   bool gap_ = false;                   // between the base and the newest sample
   Eigen::Vector3d gyro_bias_ = Eigen::Vector3d::Zero();
   Eigen::Vector3d accel_bias_ = Eigen::Vector3d::Zero();

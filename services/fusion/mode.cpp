@@ -14,7 +14,7 @@ Mode ModeMachine::update(const Evidence& evidence) {
     return mode_;
   }
   was_located_ = true;
-  const bool fresh = !evidence.blind && evidence.time_since_fix <= options_.coasting_after;
+  const bool fresh = !evidence.blind && !evidence.unconfirmed && evidence.time_since_fix <= options_.coasting_after;
   const bool uncertain = evidence.level > options_.protection.lost_level;
   if ((evidence.contradicted && !fresh) || uncertain) {
     mode_ = Mode::kLost;

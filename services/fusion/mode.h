@@ -22,6 +22,7 @@ struct Evidence {
   bool odometry = false;             // there is a pose, of the odometry or of the inertial sensor
   bool located = false;              // it is a pose on the map
   bool blind = false;                // the inertial sensor alone carries it
+  bool unconfirmed = false;          // carried across a restart, and fixes have yet to agree
   bool contradicted = false;         // fixes agree with each other on another place, and none with this one
   double level = kUnknown;           // m, horizontal protection level, or what the covariance says; NaN: unknown
   double time_since_fix = kUnknown;  // s

@@ -76,6 +76,10 @@ void read_inertial(ConfigNode node, InertialOptions& inertial) {
   node.read("accel_bias_stddev", inertial.accel_bias_stddev, 0.0, 10.0);
   read_deg(node, "gyro_bias_stddev_deg", inertial.gyro_bias_stddev, 90.0);
   node.read("max_gap", inertial.max_gap, 1e-3, 10.0);
+  node.read("bridged_gap", inertial.bridged_gap, 0.0, 10.0);
+  node.read("gap_accel_stddev", inertial.gap_accel_stddev, 0.0, 100.0);
+  read_deg(node, "gap_tilt_stddev_deg", inertial.gap_tilt_stddev, 90.0);
+  read_deg(node, "gap_turn_stddev_deg", inertial.gap_turn_stddev, 360.0);
   node.read("max_time", inertial.max_time, 0.1, 600.0);
   node.finish();
 }
@@ -103,6 +107,7 @@ FusionOptions FusionOptions::load(const std::filesystem::path& folder) {
   node.read("reacquired_for", options.reacquired_for, 0.0, 3600.0);
   node.read("reset_jump", options.reset_jump, 0.0, 1e6);
   node.read("max_speed", options.max_speed, 1.0, 1000.0);
+  node.read("memory_age", options.memory_age, 0.0, 3600.0);
   read_edge(node.child_or_empty("edge"), options.edge);
   read_fix(node.child_or_empty("fix"), options.fix);
   read_compass(node.child_or_empty("compass"), options.compass);

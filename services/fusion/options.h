@@ -69,7 +69,11 @@ struct InertialOptions {
   double gyro_noise = 1.7e-4;       // rad/s/sqrt(Hz); aircraft.yaml, imu
   double accel_bias_stddev = 0.05;  // m/s^2, of the bias that the odometry gives
   double gyro_bias_stddev = 0.001;  // rad/s, of the bias that the odometry gives
-  double max_gap = 0.05;            // s without a sample: what follows cannot be integrated
+  double max_gap = 0.05;            // s without a sample, beyond which the motion between is a guess: straight on,
+  double bridged_gap = 2.0;         // and up to so many s it is one, with these uncertainties; beyond, nothing is known
+  double gap_accel_stddev = 1.5;    // m/s^2, of the mean acceleration in a gap
+  double gap_tilt_stddev = 0.1;     // rad per axis, of the change of tilt over a gap
+  double gap_turn_stddev = 0.2;     // rad/s, of the mean rate of turn in a gap
   double max_time = 10.0;           // s without an odometry state after which there is no position
 };
 
@@ -80,6 +84,7 @@ struct FusionOptions {
   double reacquired_for = 5.0;  // s that the mode says so
   double reset_jump = 5.0;      // m: a correction larger than this increments the reset counter
   double max_speed = 100.0;     // m/s: faster odometry is a failure
+  double memory_age = 15.0;     // s: what was known so long ago is not gone on with after a restart of the fusion
   double declination = 0.0;     // rad, east positive; aircraft.yaml
   EdgeOptions edge;
   FixOptions fix;

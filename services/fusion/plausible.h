@@ -16,6 +16,8 @@ inline constexpr int kLargestIdGap = 1000;         // more keyframes are not los
 inline constexpr int kLargestSessionGap = 86'400;  // sessions are numbered by seconds: a day later is another flight
 inline constexpr double kLargestFixStddev = 1e4;   // m, of a fix that says anything
 
+inline constexpr double kLargestHeading = 13.0;  // rad, two turns: of a compass
+
 inline double seconds_between(int64_t from, int64_t to) {
   return 1e-6 * static_cast<double>(to - from);
 }

@@ -74,13 +74,17 @@ Transition transition_between(const FusionOptions& options, const Keyframe& from
 PoseGraph::PoseGraph(const FusionOptions& options) : options_(options) {}
 
 void PoseGraph::start(const Keyframe& keyframe, const NodeState& guess, const StateVector& stddev) {
+  start(keyframe, {guess, stddev.cwiseAbs2().asDiagonal()});
+}
+
+void PoseGraph::start(const Keyframe& keyframe, const Estimate& known) {
   if (!nodes_.empty()) throw std::invalid_argument("PoseGraph::start: the graph has nodes already");
   Node& node = nodes_.emplace_back();
   node.keyframe = keyframe;
-  node.state = guess;
+  node.state = known.state;
   node.prior.emplace();
-  node.prior->point = guess;
-  node.prior->cost.H = stddev.cwiseAbs2().cwiseInverse().asDiagonal();
+  node.prior->point = known.state;
+  node.prior->cost.H = inverse(known.covariance);
   relinearise_from(0);
 }
 

@@ -46,6 +46,8 @@ class PoseGraph {
 
   // First node, at a guess with independent standard deviations (> 0) of each variable.
   void start(const Keyframe& keyframe, const NodeState& guess, const StateVector& stddev);
+  // The same from a node as estimate() gave it, with its positive definite covariance.
+  void start(const Keyframe& keyframe, const Estimate& known);
   // Next node, predicted by the odometry's motion from the newest one. Its relative covariance counts when its
   // id follows the newest node's. Ids and times must grow (std::invalid_argument).
   void append(const Keyframe& keyframe);

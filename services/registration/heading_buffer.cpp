@@ -4,11 +4,13 @@
 #include <cmath>
 
 #include "common/math/so3.h"
+#include "common/math/stamps.h"
 
 namespace orthonav::registration {
 
 bool HeadingBuffer::add(int64_t utime, const Heading& heading) {
   if (!std::isfinite(heading.value) || !std::isfinite(heading.stddev) || !(heading.stddev >= 0)) return false;
+  if (!samples_.empty() && of_another_time(utime, samples_.back().utime)) samples_.clear();
   if (!samples_.empty() && utime <= samples_.back().utime) return false;
   samples_.push_back({utime, heading});
   if (samples_.size() > kCapacity) samples_.pop_front();

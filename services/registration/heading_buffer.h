@@ -14,7 +14,8 @@ class HeadingBuffer {
   // `max_gap` in microseconds: a sample further than this from a time says nothing of it.
   explicit HeadingBuffer(int64_t max_gap) : max_gap_(max_gap) {}
 
-  // Times must grow: a sample not newer than the last is refused (false), as is one that is not finite.
+  // Times must grow: a sample not newer than the last is refused (false), as is one that is not finite. One of another
+  // time (stamps.h) takes the place of all before.
   bool add(int64_t utime, const Heading& heading);
 
   // Whether at() cannot improve by waiting: there is a sample at or after the time.

@@ -22,6 +22,7 @@ Keyframe keyframe_of(const vio_keyframe_t& message) {
   keyframe.extrinsics.p_B_C = Eigen::Vector3d(message.p_B_C);
   keyframe.extrinsics.R_B_C = quaternion(message.q_B_C).normalized().toRotationMatrix();
   keyframe.height_above_ground = message.height_above_ground;
+  keyframe.scale_stddev = message.scale_stddev;
   for (const vio_feature_t& feature : message.features) {
     TrackedPoint point;
     point.id = feature.id;

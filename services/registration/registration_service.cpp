@@ -13,12 +13,14 @@
 #include "common/camera/aircraft.h"
 #include "common/camera/image_decode.h"
 #include "common/math/so3.h"
+#include "common/math/stamps.h"
 #include "services/registration/keyframe_message.h"
 #include "services/registration/map_message.h"
 
 namespace orthonav::registration {
 namespace {
 
+constexpr double kLargestHeading = 13;  // rad, two turns: whatever range headings are given in
 constexpr double kRadian = M_PI / 180.0;
 // Keyframes without a compass sample after them, waiting: more mean that the compass has stopped.
 constexpr size_t kMaxPending = 16;
@@ -80,9 +82,19 @@ RegistrationService::RegistrationService(Node& node, const Setup& setup)
   report_state();
 }
 
+void RegistrationService::see_time(int64_t utime) {
+  newest_data_ = of_another_time(newest_data_, utime) ? utime : std::max(newest_data_, utime);
+}
+
 void RegistrationService::handle(const image_t& image) {
   node_.health().add("camera.received");
-  newest_data_ = std::max(newest_data_, image.utime);
+  if (image.width != camera_.width() || image.height != camera_.height()) {
+    node_.health().reject("camera", fmt::format("images of {} x {} pixels, the camera has {} x {}", image.width,
+                                                image.height, camera_.width(), camera_.height()));
+    return;
+  }
+  see_time(image.utime);
+  std::erase_if(images_, [&](const auto& old) { return of_another_time(old.first, image.utime); });
   // Decoded only when a keyframe asks for it: most frames are none.
   images_.insert_or_assign(image.utime, image);
   while (static_cast<int>(images_.size()) > options_.image_buffer) images_.erase(images_.begin());
@@ -96,12 +108,12 @@ void RegistrationService::handle(const compass_t& compass) {
   heading.stddev = std::isfinite(compass.heading_stddev) && compass.heading_stddev > 0
                        ? compass.heading_stddev
                        : options_.default_heading_stddev;
-  if (!std::isfinite(compass.heading) || !headings_.add(compass.utime, heading)) {
-    node_.health().reject("compass", std::isfinite(compass.heading) ? "compass samples are out of order"
-                                                                    : "compass heading is not a number");
+  const bool is_heading = std::abs(compass.heading) <= kLargestHeading && !(heading.stddev > kLargestHeading);
+  if (!is_heading || !headings_.add(compass.utime, heading)) {
+    node_.health().reject("compass", is_heading ? "compass samples are out of order" : "compass heading is not one");
     return;
   }
-  newest_data_ = std::max(newest_data_, compass.utime);
+  see_time(compass.utime);
   process_pending();
 }
 
@@ -123,6 +135,12 @@ void RegistrationService::handle(const map_info_t& info) {
   if (problem.empty() && info.features != wanted) {
     problem = fmt::format("method {} needs a map with features: {} (map_server.yaml), this one has {}",
                           name_of(options_.registrar.method), wanted, info.features);
+  }
+  // What is no use does not displace a map that is: the server goes on serving it, or it is all here.
+  if (!problem.empty() && (has_map() || map_client_.store().num_complete() > 0)) {
+    node_.health().add("map.rejected");
+    node_.health().reject("map_info", problem);
+    return;
   }
   if (problem.empty() ? map_client_.offer(level) : problem != map_problem_) {
     // Another map than before, of use or not.
@@ -258,6 +276,11 @@ void RegistrationService::process_pending() {
   const auto max_gap = static_cast<int64_t>(options_.max_compass_gap * 1e6);
   while (!pending_.empty()) {
     const int64_t utime = pending_.front().utime;
+    if (newest_data_ != 0 && of_another_time(utime, newest_data_)) {
+      node_.health().reject("keyframe.of_another_time", "a keyframe of a time of which there are no images");
+      pending_.pop_front();
+      continue;
+    }
     const bool ready = headings_.covers(utime) || newest_data_ - utime > max_gap || pending_.size() > kMaxPending;
     if (!ready) return;
     const vio_keyframe_t keyframe = std::move(pending_.front());

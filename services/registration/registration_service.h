@@ -56,6 +56,7 @@ class RegistrationService : public Service {
   void handle(const map_tile_t& tile);
   void handle(const nav_state_t& state);
   void handle(const vio_keyframe_t& keyframe);
+  void see_time(int64_t utime);
   bool has_map() const { return uses_submap_ ? submap_.has_map() : registrar_.has_map(); }
   void clear_map();
   void request_tiles();

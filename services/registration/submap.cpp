@@ -21,6 +21,7 @@ constexpr double kFittedScaleStddev = 0.01;
 // instead of the compass, which would pull every fit towards its bias (5.7 degrees off, it left fits 3-4 degrees off).
 constexpr double kLearntTurnStddev = 1.5 * kRadian;
 constexpr double kFittedShare = 0.3;
+constexpr double kLargestScaleStddev = 0.1;  // that a session begins with
 // Headings tried where none is known: a descriptor stands a turn of half a step.
 constexpr int kHeadingsTried = 24;
 // What the share of points that stay aligned with the map counts, beside the likelihood ratio's share.
@@ -138,13 +139,22 @@ Alignment SubmapRegistrar::expected(size_t variant) const {
   return {wrap_angle(fitted_yaw_.value_or(compass_yaw_) - yaw), fitted_scale_.value_or(1.0)};
 }
 
+// A session begins with a scale that its odometry is not sure of, and says so.
+double SubmapRegistrar::scale_stddev() const {
+  const double own = keyframes_.front().front().view->keyframe.scale_stddev;
+  return std::max(options_.fit.scale_stddev, std::isfinite(own) ? std::min(own, kLargestScaleStddev) : 0);
+}
+
 std::vector<Alignment> SubmapRegistrar::alignments_for(size_t variant, double step) const {
   const size_t num_variants = keyframes_.front().size();
   const double turn_stddev = fitted_yaw_        ? kFittedTurnStddev
                              : num_variants > 1 ? 0.5 * M_PI / static_cast<double>(num_variants)
                                                 : heading_.stddev;
-  return alignments(expected(variant), turn_stddev, fitted_scale_ ? kFittedScaleStddev : options_.fit.scale_stddev,
-                    1.5 * lever_of(*keyframes_.front()[variant].view), step);
+  // On the whole map more scales would be more chances for a wrong place.
+  const double own = std::isfinite(radius_) ? scale_stddev() : options_.fit.scale_stddev;
+  // While the odometry itself is not sure, the scale that was fitted first may be wrong, or change.
+  const double scale = fitted_scale_ && own <= options_.fit.scale_stddev ? kFittedScaleStddev : own;
+  return alignments(expected(variant), turn_stddev, scale, 1.5 * lever_of(*keyframes_.front()[variant].view), step);
 }
 
 void SubmapRegistrar::search(const std::optional<PositionPrior>& prior) {
@@ -246,6 +256,7 @@ bool SubmapRegistrar::is_nearby() const {
 
 FitOptions SubmapRegistrar::fit_options() const {
   FitOptions options = options_.fit;
+  options.scale_stddev = scale_stddev();
   options.heading_stddev = fitted_yaw_ ? kLearntTurnStddev : options_.search_heading ? M_PI : heading_.stddev;
   return options;
 }

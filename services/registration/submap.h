@@ -94,6 +94,7 @@ class SubmapRegistrar {
   };
   std::vector<const View*> views(size_t variant, int count) const;
   Alignment expected(size_t variant) const;
+  double scale_stddev() const;  // of the odometry, before the map says better
   std::vector<Alignment> alignments_for(size_t variant, double step) const;
   void search_everywhere(size_t variant);
   void search_around(const PositionPrior& prior, double radius, size_t variant);

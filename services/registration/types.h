@@ -2,6 +2,7 @@
 #pragma once
 
 #include <cstdint>
+#include <limits>
 #include <vector>
 
 #include <Eigen/Core>
@@ -25,7 +26,8 @@ struct Keyframe {
   Eigen::Vector3d p_W_B = Eigen::Vector3d::Zero();
   Eigen::Quaterniond q_W_B = Eigen::Quaterniond::Identity();
   Extrinsics extrinsics;
-  double height_above_ground = 0;  // m
+  double height_above_ground = 0;                                  // m
+  double scale_stddev = std::numeric_limits<double>::quiet_NaN();  // of the odometry, relative; NaN: unknown
   std::vector<TrackedPoint> points;
 };
 

@@ -135,13 +135,30 @@ TEST(TimeGuard, AStampFromTomorrowIsRefusedAndTheTrueOnesGoOn) {
   }
 }
 
-TEST(TimeGuard, ANewFlightIsTakenOverAtItsThirdMessage) {
+TEST(TimeGuard, ANewFlightIsTakenOverWhenItHasLastedTwoSeconds) {
   TimeGuard guard;
   EXPECT_TRUE(guard.accept(1'000'000'000));
-  EXPECT_FALSE(guard.accept(5'000'000));
-  EXPECT_FALSE(guard.accept(5'100'000));
-  EXPECT_TRUE(guard.accept(5'200'000));
-  EXPECT_TRUE(guard.accept(5'300'000));
+  for (int64_t t = 5'000'000; t < 7'000'000; t += 100'000) EXPECT_FALSE(guard.accept(t));
+  EXPECT_TRUE(guard.accept(7'000'000));
+  EXPECT_TRUE(guard.accept(7'100'000));
+}
+
+TEST(TimeGuard, AFloodFromTomorrowDoesNotDisplaceAStreamOfOneMessageASecond) {
+  TimeGuard guard;
+  for (int64_t second = 0; second < 20; ++second) {
+    EXPECT_TRUE(guard.accept(1'000'000'000 + second * 1'000'000));
+    for (int64_t i = 1; i < 100; ++i) {
+      EXPECT_FALSE(guard.accept(87'400'000'000 + second * 1'000'000 + i * 10'000)) << "all of them agree";
+    }
+  }
+}
+
+TEST(TimeGuard, WhatIsAskedForHoursLaterIsTakenOverAtItsThirdMessage) {
+  TimeGuard guard(0);
+  EXPECT_TRUE(guard.accept(1'000'000'000));
+  EXPECT_FALSE(guard.accept(10'000'000'000));
+  EXPECT_FALSE(guard.accept(10'000'000'000));
+  EXPECT_TRUE(guard.accept(10'000'000'000));
 }
 
 TEST(TimeGuard, AGapOfTwentySecondsCostsNothing) {

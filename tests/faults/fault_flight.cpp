@@ -71,7 +71,7 @@ class Flight {
         fixes_(bus_, channel::kMapFix) {
     start("map_server", {"--map", arguments_.map});
     start("registration");
-    start("fusion");
+    start("fusion", {"--memory", folder_ / "fusion.memory"});
     start("vio");
     start("ingest", {"--log", log_, "--wait-for", "map_server,registration,fusion,vio"});
   }

@@ -49,6 +49,23 @@ std::vector<std::pair<std::string, Fault>> all_faults() {
       {"compass freezes", [](auto& x) { f::freeze_compass(x, 60); }},
       {"odometry restarts", [](auto& x) { f::restart_odometry(x, 90, 3.0); }},
       {"odometry gone for 15 s", [](auto& x) { f::restart_odometry(x, 90, 15.0); }},
+      {"no sensors for 1.2 s, odometry gone for 4",
+       [](auto& x) {
+         f::restart_odometry(x, 90, 4.0);
+         f::silence_imu(x, 90, 91.2);
+       }},
+      {"the same, then 5 s of fixes 30 m off",
+       [](auto& x) {
+         f::restart_odometry(x, 90, 4.0);
+         f::silence_imu(x, 90, 91.2);
+         f::shift_fixes(x, 94, 99, Vector3d(24, 18, 0));
+       }},
+      {"fusion is killed", [](auto& x) { x.fusion_killed = 90; }},
+      {"fusion is killed among wrong fixes",
+       [](auto& x) {
+         x.fusion_killed = 100;
+         f::shift_fixes(x, 90, 115, Vector3d(16, 12, 0));
+       }},
       {"odometry's scale 5 % off", [](auto& x) { f::bend_odometry(x, 90, 0.95, 0.0); }},
       {"odometry turns 1 degree", [](auto& x) { f::bend_odometry(x, 90, 1.0, 0.0175); }},
       {"odometry jumps 3 m", [](auto& x) { f::bend_odometry(x, 90, 1.0, 0.0, Vector3d(2.4, 1.8, 0)); }},

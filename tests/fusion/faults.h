@@ -45,6 +45,13 @@ inline void silence_compass(SyntheticFlight& flight, double from, double to) {
   erase(flight, SyntheticFlight::Step::Kind::kCompass, from, to);
 }
 
+// The inertial sensor says nothing.
+inline void silence_imu(SyntheticFlight& flight, double from, double to) {
+  std::erase_if(flight.steps, [&](const SyntheticFlight::Step& step) {
+    return step.kind == SyntheticFlight::Step::Kind::kImu && within(flight, flight.imu[step.index].utime, from, to);
+  });
+}
+
 // The compass, and the headings of fixes that come from it.
 inline void turn_compass(SyntheticFlight& flight, double from, double to, double angle) {
   for (CompassReading& reading : flight.compass) {

@@ -3,6 +3,7 @@
 
 #include <chrono>
 #include <cmath>
+#include <memory>
 #include <vector>
 
 #include "common/math/so3.h"
@@ -34,10 +35,28 @@ struct Flown {
 
 inline Flown fly(const SyntheticFlight& flight, const FusionOptions& options) {
   Flown flown;
-  Fusion fusion(options);
+  auto running = std::make_unique<Fusion>(options);
   const EnuFrame frame(flight.anchor);
+  double killed = flight.fusion_killed;
   std::vector<double> error, horizontal, vertical, heading, nees, levels;
+  double seconds = 0;
   for (const SyntheticFlight::Step& step : flight.steps) {
+    if (step.kind == SyntheticFlight::Step::Kind::kState) seconds = 0.1 * static_cast<double>(step.index);
+    if (seconds >= killed) {
+      if (seconds < killed + 0.5) {
+        if (step.kind == SyntheticFlight::Step::Kind::kState) {
+          flown.solutions.emplace_back();
+          flown.position_nees.push_back(std::nan(""));
+          flown.pose_nees.push_back(std::nan(""));
+        }
+        continue;
+      }
+      killed = std::nan("");
+      const auto memory = running->memory();
+      running = std::make_unique<Fusion>(options);
+      if (memory) running->resume(*memory);
+    }
+    Fusion& fusion = *running;
     switch (step.kind) {
       case SyntheticFlight::Step::Kind::kState: {
         const Solution solution = fusion.propagate(flight.states[step.index]).solution;
@@ -103,7 +122,7 @@ inline Flown fly(const SyntheticFlight& flight, const FusionOptions& options) {
   for (const double value : nees) sum += value;
   flown.nees = sum / static_cast<double>(nees.size());
   flown.horizontal_level = median(levels);
-  flown.scale = fusion.scale();
+  flown.scale = running->scale();
   return flown;
 }
 

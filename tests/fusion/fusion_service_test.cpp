@@ -1,14 +1,18 @@
 // The service on a bus: what it answers to good and bad messages.
 #include "services/fusion/fusion_service.h"
 
+#include <algorithm>
 #include <limits>
+#include <optional>
 #include <vector>
 
 #include <gtest/gtest.h>
 
 #include "common/bus/channels.h"
 #include "orthonav/nav_state_t.hpp"
+#include "tests/faults/vandal.h"
 #include "tests/fusion/synthetic_flight.h"
+#include "tests/support/temporary_folder.h"
 
 namespace orthonav::fusion {
 namespace {
@@ -45,6 +49,13 @@ class FusionOnABus : public ::testing::Test {
     for (double& value : message.relative_covariance) value = std::numeric_limits<double>::quiet_NaN();
     publish(channel::kVioKeyframe, message);
   }
+  void send(const ImuSample& sample) {
+    imu_t message{};
+    message.utime = sample.utime;
+    put(sample.angular_rate, message.angular_rate);
+    put(sample.specific_force, message.specific_force);
+    publish(channel::kImu, message);
+  }
   static map_fix_t message_of(const Fix& fix) {
     map_fix_t message{};
     message.utime = fix.utime;
@@ -79,6 +90,7 @@ class FusionOnABus : public ::testing::Test {
       if (step.kind == SyntheticFlight::Step::Kind::kFix) {
         publish(channel::kMapFix, message_of(flight_.fixes[step.index]));
       }
+      if (step.kind == SyntheticFlight::Step::Kind::kImu) send(flight_.imu[step.index]);
     }
   }
 
@@ -91,8 +103,8 @@ class FusionOnABus : public ::testing::Test {
   lcm::LCM bus_{"memq://"};
   Listener heard_;
   lcm::Subscription* subscription_ = bus_.subscribe(channel::kNavState, &Listener::receive, &heard_);
-  Node node_{{.service = "fusion"}, bus_};
-  FusionService service_{node_, std::filesystem::path(ORTHONAV_SOURCE) / "config/quick"};
+  std::optional<Node> node_{std::in_place, NodeOptions{.service = "fusion"}, bus_};
+  std::optional<FusionService> service_{std::in_place, *node_, std::filesystem::path(ORTHONAV_SOURCE) / "config/quick"};
 };
 
 TEST_F(FusionOnABus, AnswersEveryOdometryStateAndFindsItsPlace) {
@@ -108,8 +120,8 @@ TEST_F(FusionOnABus, AnswersEveryOdometryStateAndFindsItsPlace) {
   const EnuFrame frame(flight_.anchor);
   const Eigen::Vector3d p = frame.to_enu({last.latitude_deg, last.longitude_deg, last.ellipsoidal_height});
   EXPECT_LT((p - flight_.truth.back()).norm(), 8.0);
-  EXPECT_EQ(node_.health().state(), Health::State::kOk);
-  EXPECT_EQ(node_.health().counter("states.received"), static_cast<double>(flight_.states.size()));
+  EXPECT_EQ(node_->health().state(), Health::State::kOk);
+  EXPECT_EQ(node_->health().counter("states.received"), static_cast<double>(flight_.states.size()));
 }
 
 TEST_F(FusionOnABus, CountsWhatItRefusesAndGoesOn) {
@@ -118,21 +130,75 @@ TEST_F(FusionOnABus, CountsWhatItRefusesAndGoesOn) {
   map_fix_t fix = message_of(flight_.fixes.front());
   fix.keyframe_id = 12345;
   publish(channel::kMapFix, fix);
-  EXPECT_EQ(node_.health().counter("rejected.fix.unknown_keyframe"), 1.0);
+  EXPECT_EQ(node_->health().counter("rejected.fix.unknown_keyframe"), 1.0);
   fix = message_of(flight_.fixes.back());
   fix.latitude_deg = std::numeric_limits<double>::quiet_NaN();
   publish(channel::kMapFix, fix);
-  EXPECT_EQ(node_.health().counter("rejected.fix.bad_number"), 1.0);
+  EXPECT_EQ(node_->health().counter("rejected.fix.bad_number"), 1.0);
   fix.valid = false;
   publish(channel::kMapFix, fix);
-  EXPECT_EQ(node_.health().counter("fixes.invalid"), 1.0);
+  EXPECT_EQ(node_->health().counter("fixes.invalid"), 1.0);
   OdometryState state = flight_.states[50];
   state.p_W_B.x() = std::numeric_limits<double>::infinity();
   send(state);
-  EXPECT_EQ(node_.health().counter("rejected.state.bad_number"), 1.0);
+  EXPECT_EQ(node_->health().counter("rejected.state.bad_number"), 1.0);
   EXPECT_EQ(heard_.states.back().mode, +nav_state_t::WAITING_FOR_VIO) << "a state without a pose is still answered";
   fly(half, flight_.steps.size());
   EXPECT_EQ(heard_.states.back().mode, +nav_state_t::MAP_AIDED);
+}
+
+TEST_F(FusionOnABus, AFloodOfAbsurdMessagesMovesNothingAndIsNotAnswered) {
+  flight_ = make_flight({.duration = 30.0, .single_wrong_rate = 0.0, .imu = true}, 1);
+  const size_t third = flight_.steps.size() / 3;
+  fly(0, third);
+  ASSERT_EQ(heard_.states.back().mode, +nav_state_t::MAP_AIDED);
+  const size_t before = heard_.states.size();
+  std::mt19937_64 random(1);
+  for (size_t k = third; k < 2 * third; ++k) {
+    fly(k, k + 1);
+    // Twenty for each true one of any kind, a thousand for each state of the odometry.
+    for (int i = 0; i < 20; ++i) {
+      faults::publish_absurd(bus_, random, heard_.states.back().utime, heard_.states.back().session, 10);
+    }
+    while (bus_.handleTimeout(0) > 0) {
+    }
+  }
+  fly(2 * third, flight_.steps.size());
+  const EnuFrame frame(flight_.anchor);
+  for (size_t k = before; k < heard_.states.size(); ++k) {
+    const nav_state_t& state = heard_.states[k];
+    ASSERT_EQ(state.mode, +nav_state_t::MAP_AIDED) << "answer " << k - before;
+    ASSERT_EQ(state.reset_counter, 1);
+  }
+  const nav_state_t& last = heard_.states.back();
+  const Eigen::Vector3d p = frame.to_enu({last.latitude_deg, last.longitude_deg, last.ellipsoidal_height});
+  EXPECT_LT((p - flight_.truth.back()).norm(), 8.0);
+}
+
+TEST_F(FusionOnABus, AnotherServiceGoesOnFromItsMemory) {
+  const test::TemporaryFolder folder;
+  const auto config = std::filesystem::path(ORTHONAV_SOURCE) / "config/quick";
+  service_.reset();
+  node_.reset();
+  const size_t half = flight_.steps.size() / 2;
+  {
+    Node node({.service = "fusion"}, bus_);
+    FusionService service(node, config, folder / "memory");
+    fly(0, half);
+  }
+  ASSERT_EQ(heard_.states.back().mode, +nav_state_t::MAP_AIDED);
+  const nav_state_t last = heard_.states.back();
+  Node node({.service = "fusion"}, bus_);
+  FusionService service(node, config, folder / "memory");
+  EXPECT_EQ(node.health().counter("memory.read"), 1.0);
+  fly(half, flight_.steps.size());
+  const nav_state_t& first = heard_.states[static_cast<size_t>(
+      std::find_if(heard_.states.begin(), heard_.states.end(), [&](auto& s) { return s.utime > last.utime; }) -
+      heard_.states.begin())];
+  EXPECT_EQ(first.mode, +nav_state_t::COASTING);
+  EXPECT_LT((Eigen::Vector3d(first.p_G_B) - Eigen::Vector3d(last.p_G_B)).norm(), 1.0);
+  EXPECT_EQ(heard_.states.back().mode, +nav_state_t::MAP_AIDED);
+  EXPECT_EQ(heard_.states.back().reset_counter, last.reset_counter);
 }
 
 }  // namespace

@@ -1,6 +1,8 @@
 // Propagation by the inertial sensor, against the path that its samples were made from.
 #include "services/fusion/inertial.h"
 
+#include <algorithm>
+
 #include <gtest/gtest.h>
 
 #include "common/math/so3.h"
@@ -71,7 +73,7 @@ TEST_F(InertialOnAFlight, ALateStateGivesTheSameAsAPromptOne) {
   EXPECT_LT((inertial_.newest()->covariance - prompt.newest()->covariance).norm(), 1e-9);
 }
 
-TEST_F(InertialOnAFlight, SaysNothingBeforeAStateAfterAGapAndAfterTooLong) {
+TEST_F(InertialOnAFlight, SaysNothingBeforeAStateAfterALongGapAndAfterTooLong) {
   add_until(50);
   EXPECT_FALSE(inertial_.newest());
   rebase(50);
@@ -79,13 +81,13 @@ TEST_F(InertialOnAFlight, SaysNothingBeforeAStateAfterAGapAndAfterTooLong) {
   add_until(60);
   EXPECT_TRUE(inertial_.newest());
   EXPECT_FALSE(inertial_.at(flight_.states[70].utime)) << "a second ahead of the samples";
-  next_ += 40;  // 0.2 s are lost
-  add_until(70);
+  next_ += 440;  // 2.2 s are lost
+  add_until(85);
   EXPECT_FALSE(inertial_.newest());
-  rebase(70);
-  add_until(75);
+  rebase(85);
+  add_until(90);
   EXPECT_TRUE(inertial_.newest());
-  add_until(185);
+  add_until(195);
   EXPECT_FALSE(inertial_.newest()) << "longer than max_time";
 }
 
@@ -99,6 +101,61 @@ TEST_F(InertialOnAFlight, RefusesWhatNoSensorMeasures) {
   EXPECT_EQ(inertial_.add(bad), Outcome::kBadNumber);
   EXPECT_EQ(inertial_.add(flight_.imu[next_ - 1]), Outcome::kOutOfOrder);
   EXPECT_EQ(inertial_.add(flight_.imu[next_]), Outcome::kUsed);
+}
+
+TEST_F(InertialOnAFlight, SaysWhereItWasHoweverLateItIsAsked) {
+  Inertial prompt{InertialOptions{}};
+  const auto rebase_at = [&](Inertial& inertial) {
+    inertial.rebase(truth(50), flight_.states[50].gyro_bias, flight_.states[50].accel_bias);
+  };
+  for (const ImuSample& sample : flight_.imu) {
+    if (sample.utime <= flight_.states[60].utime) prompt.add(sample);
+  }
+  rebase_at(prompt);
+  add_until(90);
+  rebase_at(inertial_);
+  const auto expected = prompt.at(flight_.states[60].utime);
+  const auto late = inertial_.at(flight_.states[60].utime);
+  ASSERT_TRUE(expected && late);
+  EXPECT_EQ(late->utime, flight_.states[60].utime);
+  EXPECT_LT((late->p_G_B - expected->p_G_B).norm(), 1e-9);
+  EXPECT_LT((late->covariance - expected->covariance).norm(), 1e-9);
+  EXPECT_FALSE(inertial_.at(flight_.states[49].utime)) << "before what it goes on from";
+}
+
+TEST_F(InertialOnAFlight, ASampleFromTomorrowDoesNotMakeTheTrueOnesLookOld) {
+  add_until(50);
+  ImuSample tomorrow = flight_.imu[next_];
+  tomorrow.utime += 86'400'000'000;
+  EXPECT_EQ(inertial_.add(tomorrow), Outcome::kUsed);
+  add_until(60);
+  rebase(60);
+  add_until(70);
+  const auto state = inertial_.newest();
+  ASSERT_TRUE(state);
+  EXPECT_LT((state->p_G_B - flight_.truth[70]).norm(), 0.3);
+}
+
+TEST_F(InertialOnAFlight, BridgesAShortGapWithinTheUncertaintyThatItStates) {
+  for (size_t from = 20; from <= 140; from += 20) {
+    inertial_ = Inertial{InertialOptions{}};
+    next_ = static_cast<size_t>(std::find_if(flight_.imu.begin(), flight_.imu.end(),
+                                             [&](auto& s) { return s.utime > flight_.states[from - 10].utime; }) -
+                                flight_.imu.begin());
+    add_until(from);
+    rebase(from);
+    add_until(from + 5);
+    EXPECT_FALSE(inertial_.guessed());
+    next_ += 240;  // 1.2 s are lost
+    add_until(from + 47);
+    const auto state = inertial_.newest();
+    ASSERT_TRUE(state);
+    EXPECT_TRUE(inertial_.guessed());
+    const Eigen::Vector3d error = state->p_G_B - flight_.truth[from + 47];
+    EXPECT_LT(error.head<2>().norm(), 3.0 * std::sqrt(state->covariance(0, 0))) << from;
+    EXPECT_LT(std::abs(error.z()), 3.0 * std::sqrt(state->covariance(2, 2))) << from;
+    EXPECT_GT(state->covariance(0, 0), 9.0) << "3 m at least: nobody knows what was flown";
+  }
 }
 
 }  // namespace

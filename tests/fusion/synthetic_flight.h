@@ -54,6 +54,8 @@ struct SyntheticFlight {
   std::vector<CompassReading> compass;
   std::vector<ImuSample> imu;
   std::vector<Step> steps;
+  // s from the start at which fly() replaces the fusion by one that goes on from its memory, 0.5 s later; NaN: never.
+  double fusion_killed = kUnknown;
   Geodetic anchor{47.5, 8.7, 420.0};
 };
 

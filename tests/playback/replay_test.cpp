@@ -4,6 +4,8 @@
 #include <filesystem>
 #include <fstream>
 #include <limits>
+#include <stdexcept>
+#include <string>
 #include <vector>
 
 #include <gtest/gtest.h>
@@ -136,6 +138,78 @@ TEST(Replay, BadInputIsSurvivedWithoutLosingThePosition) {
   EXPECT_LT(report["fusion"]["rmse_m"].get<double>(), 3.76);
   fs::remove(bad);
   fs::remove(out);
+}
+
+// Seconds from a service's end until positions are map-aided for good.
+struct Recovery {
+  double seconds = 0;
+  int resets = 0;
+  double rmse = 0;  // m, over the flight
+};
+
+Recovery kill(const std::string& service, double at) {
+  const fs::path out = flight_folder() / ("killed-" + service + ".lcm"), memory = flight_folder() / "memory";
+  fs::remove(memory);
+  replay::ReplayOptions options;
+  options.config = test::flight_config();
+  options.log = test::flight_log();
+  options.map = test::flight_map();
+  options.out = out;
+  options.memory = memory;
+  options.restarts = {{.service = service, .at = at}};
+  replay::replay(options);
+  Recovery recovery;
+  int64_t killed = 0;
+  int counter = 0;
+  for (const auto& event : events_of(out, channel::kNavState)) {
+    const auto state = event.decode<nav_state_t>().value();
+    if (killed == 0) killed = state.utime + static_cast<int64_t>(1e6 * at);
+    if (event.utime <= killed) {
+      counter = state.reset_counter;
+    } else {
+      if (state.mode != nav_state_t::MAP_AIDED) recovery.seconds = 1e-6 * static_cast<double>(event.utime - killed);
+      recovery.resets = state.reset_counter - counter;
+    }
+  }
+  recovery.rmse = test::evaluate(out)["fusion"]["rmse_m"].get<double>();
+  fs::remove(out);
+  fs::remove(memory);
+  return recovery;
+}
+
+TEST(KilledInAReplay, TheFusionIsMapAidedWithinTwoSecondsOfItsRestartWithoutAReset) {
+  for (const double at : {16.0, 25.0, 38.3}) {
+    const Recovery recovery = kill("fusion", at);
+    EXPECT_LT(recovery.seconds, 2.5) << at;
+    EXPECT_EQ(recovery.resets, 0) << at;
+    EXPECT_LT(recovery.rmse, 3.76);
+  }
+}
+
+TEST(KilledInAReplay, TheOdometryIsMapAidedWithinFiveSecondsOfItsRestartWithoutAReset) {
+  for (const double at : {20.0, 25.0}) {
+    const Recovery recovery = kill("vio", at);
+    EXPECT_LT(recovery.seconds, 5.5) << at;
+    EXPECT_EQ(recovery.resets, 0) << at;
+    EXPECT_LT(recovery.rmse, 3.76);
+  }
+}
+
+TEST(KilledInAReplay, RegistrationAndItsMapServerAreNotMissed) {
+  for (const char* service : {"registration", "map_server"}) {
+    const Recovery recovery = kill(service, 25.0);
+    EXPECT_EQ(recovery.seconds, 0.0) << service;
+    EXPECT_EQ(recovery.resets, 0) << service;
+  }
+}
+
+TEST(KilledInAReplay, AServiceThatIsNoneIsAnErrorThatNamesIt) {
+  try {
+    kill("autopilot", 1.0);
+    FAIL();
+  } catch (const std::runtime_error& error) {
+    EXPECT_NE(std::string(error.what()).find("autopilot"), std::string::npos);
+  }
 }
 
 }  // namespace

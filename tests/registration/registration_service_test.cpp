@@ -11,6 +11,7 @@
 
 #include "common/bus/channels.h"
 #include "orthonav/map_tile_request_t.hpp"
+#include "tests/faults/vandal.h"
 #include "tests/registration/synthetic_flight.h"
 #include "tests/support/bus_client.h"
 #include "tests/support/temporary_folder.h"
@@ -417,6 +418,48 @@ TEST(RegistrationService, NamesWhatIsWrongWithItsConfiguration) {
   EXPECT_THAT(error(), HasSubstr("retry_mss"));
   std::ofstream(folder / "registration.yaml") << "{}\n";
   EXPECT_THAT(error(), HasSubstr("camera"));
+}
+
+TEST_F(RegistrationOnTheBus, AFloodOfAbsurdMessagesCostsNoFixAfterIt) {
+  fetch_map();
+  send_all(now_, 1);
+  ASSERT_EQ(fixes_.messages.size(), 1u);
+  std::mt19937_64 random(1);
+  for (int id = 2; id < 20; ++id) {
+    // A keyframe a second, an image and a heading every tenth of it, a hundred absurd messages for each.
+    for (int i = 0; i < 10; ++i) {
+      pass(0.1);
+      const image_t image = image_message(now_, capture_.image);
+      bus_.publish(channel::kCamera, &image);
+      send_compass(now_, capture_.heading.value);
+      for (int k = 0; k < 100; ++k) faults::publish_absurd(bus_, random, now_, 3, id);
+      pump();
+    }
+    send_all(now_ + 50'000, id);
+    now_ += 100'000;
+  }
+  fixes_.messages.clear();
+  pass(1);
+  server_.announce();
+  send_all(now_, 20);
+  const auto is_own = [](const map_fix_t& fix) { return fix.keyframe_id == 20; };
+  const auto found = std::find_if(fixes_.messages.begin(), fixes_.messages.end(), is_own);
+  ASSERT_NE(found, fixes_.messages.end());
+  expect_fix(*found);
+  EXPECT_GT(node_.health().counter("map.rejected"), 0);
+}
+
+TEST_F(RegistrationOnTheBus, AMapOfNoUseDoesNotDisplaceTheOneInUse) {
+  fetch_map();
+  map_info_t other = server_.info_;
+  other.fingerprint = other.map_fingerprint = "nan";
+  other.metres_per_pixel = kNan;
+  bus_.publish(channel::kMapInfo, &other);
+  pump();
+  EXPECT_EQ(node_.health().counter("rejected.map_info"), 1);
+  send_all(now_, 1);
+  ASSERT_EQ(fixes_.messages.size(), 1u);
+  expect_fix(fixes_.messages.front());
 }
 
 }  // namespace

@@ -1,5 +1,8 @@
 #include <chrono>
 #include <cstdio>
+#include <cstdlib>
+#include <string>
+#include <vector>
 
 #include <CLI/CLI.hpp>
 #include <spdlog/sinks/stdout_color_sinks.h>
@@ -27,6 +30,11 @@ int main(int argc, char** argv) {
                  "the odometry's trajectory to write, in TUM's format (default with --asl: vio.tum)");
   app.add_option("--times", options.times,
                  "table to write of each image's processing time (default with --asl: vio-times.csv)");
+  std::vector<std::string> restarts;
+  app.add_option("--restart", restarts,
+                 "SERVICE@S: kill it after S seconds of flight and start it again after 0.5 s; may be given again")
+      ->delimiter(',');
+  app.add_option("--memory", options.memory, "file with which the fusion goes on after a restart (default: none)");
   app.add_flag("--timings", timings, "fill in the processing times, which makes the output differ from run to run");
   CLI11_PARSE(app, argc, argv);
   if (!options.asl.empty()) {
@@ -35,6 +43,16 @@ int main(int argc, char** argv) {
   } else if (options.log.empty() || options.config.empty() || options.out.empty()) {
     std::fprintf(stderr, "orthonav-replay: give --asl, or --log with --config and --out\n");
     return 2;
+  }
+  for (const std::string& text : restarts) {
+    const auto at = text.find('@');
+    char* end = nullptr;
+    const double seconds = at == std::string::npos ? -1 : std::strtod(text.c_str() + at + 1, &end);
+    if (!(seconds >= 0) || *end != '\0') {
+      std::fprintf(stderr, "orthonav-replay: --restart %s: give SERVICE@SECONDS\n", text.c_str());
+      return 2;
+    }
+    options.restarts.push_back({.service = text.substr(0, at), .at = seconds});
   }
   timings = timings || !options.times.empty();
   spdlog::set_default_logger(spdlog::stderr_color_mt("replay"));

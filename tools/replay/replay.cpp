@@ -81,17 +81,58 @@ class OdometryText {
   int session_ = 0;
 };
 
+// A service, and when it ends and begins again.
+struct Running {
+  using Start = std::function<std::unique_ptr<Service>(Node&)>;
+  std::string name;
+  Start start;
+  std::vector<Restart> restarts{};  // to come, the next one last
+  std::unique_ptr<Node> node{};
+  std::unique_ptr<Service> service{};
+
+  void stop() {
+    service.reset();
+    node.reset();
+  }
+  void restart(lcm::LCM& bus) {
+    stop();
+    node = std::make_unique<Node>(NodeOptions{.service = name}, bus);
+    service = start(*node);
+  }
+  void advance(lcm::LCM& bus, int64_t utime, double seconds) {
+    if (!restarts.empty() && seconds >= restarts.back().at) {
+      if (seconds < restarts.back().at + restarts.back().down) {
+        stop();
+      } else {
+        restarts.pop_back();
+        restart(bus);
+      }
+    }
+    if (node) node->advance(utime);
+  }
+};
+
+void schedule(std::vector<Restart> restarts, std::vector<Running>& running) {
+  std::sort(restarts.begin(), restarts.end(), [](const Restart& a, const Restart& b) { return a.at > b.at; });
+  for (const Restart& restart : restarts) {
+    const auto found = std::find_if(running.begin(), running.end(),
+                                    [&](const Running& service) { return service.name == restart.service; });
+    if (found == running.end()) {
+      throw std::runtime_error(
+          fmt::format("{}: no service of this replay can be restarted by that name", restart.service));
+    }
+    found->restarts.push_back(restart);
+  }
+}
+
 }  // namespace
 
 ReplaySummary replay(const ReplayOptions& options) {
   lcm::LCM bus("memq://");
   Recorder recorder(bus, options.out);
   OdometryText text(bus, options.trajectory, options.times);
-  std::vector<std::unique_ptr<Node>> nodes;
-  const auto node = [&](const char* service) -> Node& {
-    nodes.push_back(std::make_unique<Node>(NodeOptions{.service = service}, bus));
-    return *nodes.back();
-  };
+  Node ingest_node({.service = "ingest"}, bus);
+  std::vector<Running> running;
 
   ingest::IngestOptions source_options;
   source_options.log = options.log;
@@ -99,23 +140,30 @@ ReplaySummary replay(const ReplayOptions& options) {
   const auto source = ingest::make_source(source_options);
   ingest::Validator validator;
   ingest::Compass compass = ingest::Compass::load(options.config);
-  Node& ingest_node = node("ingest");
   ingest_node.health().set_state(Health::State::kOk);
 
-  std::vector<std::unique_ptr<Service>> services;
+  const auto start = [&](const std::string& name, const Running::Start& make) {
+    running.push_back({.name = name, .start = make});
+    running.back().restart(bus);
+  };
   if (!options.map.empty()) {
-    services.push_back(std::make_unique<map_server::MapServerService>(node("map_server"), options.config, options.map));
-    services.push_back(std::make_unique<registration::RegistrationService>(node("registration"), options.config));
+    start("map_server", [&](Node& node) {
+      return std::make_unique<map_server::MapServerService>(node, options.config, options.map);
+    });
+    start("registration",
+          [&](Node& node) { return std::make_unique<registration::RegistrationService>(node, options.config); });
   }
-  if (options.asl.empty()) {
-    services.push_back(std::make_unique<vio::VioService>(node("vio"), options.config));
-  } else {
+  start("vio", [&](Node& node) {
+    if (options.asl.empty()) return std::make_unique<vio::VioService>(node, options.config);
     const vio::VioOptions vio_options =
         options.config.empty() ? vio::VioOptions{} : vio::load_setup(options.config).options;
-    services.push_back(std::make_unique<vio::VioService>(node("vio"), vio::load_asl_setup(options.asl, vio_options)));
+    return std::make_unique<vio::VioService>(node, vio::load_asl_setup(options.asl, vio_options));
+  });
+  if (!options.config.empty()) {
+    start("fusion",
+          [&](Node& node) { return std::make_unique<fusion::FusionService>(node, options.config, options.memory); });
   }
-  if (!options.config.empty())
-    services.push_back(std::make_unique<fusion::FusionService>(node("fusion"), options.config));
+  schedule(options.restarts, running);
 
   const auto settle = [&] {
     while (bus.handleTimeout(0) > 0) {
@@ -128,7 +176,9 @@ ReplaySummary replay(const ReplayOptions& options) {
       // A stamp out of order is the validator's to judge; it must not move the clock of everybody else.
       if (first == 0) first = recorder.utime = utime;
       if (utime > recorder.utime && utime - recorder.utime < 3'600'000'000) recorder.utime = utime;
-      for (const auto& n : nodes) n->advance(recorder.utime);
+      ingest_node.advance(recorder.utime);
+      for (Running& service : running)
+        service.advance(bus, recorder.utime, 1e-6 * static_cast<double>(recorder.utime - first));
       settle();
     }
     ingest::publish_checked(ingest_node, validator, compass, *event);

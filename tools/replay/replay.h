@@ -7,18 +7,29 @@
 #include <cstdint>
 #include <filesystem>
 #include <functional>
+#include <string>
+#include <vector>
 
 namespace orthonav::replay {
 
+// A service that ends in flight and is started again: with nothing but what it keeps on purpose (--memory).
+struct Restart {
+  std::string service;  // map_server, registration, vio or fusion
+  double at = 0;        // s of flight
+  double down = 0.5;    // s until it is there again; as its unit has it
+};
+
 struct ReplayOptions {
-  std::filesystem::path config;                   // folder of the aircraft or scenario; may be empty with `asl`: the
-                                                  // odometry alone, with its default parameters
-  std::filesystem::path log;                      // an LCM log, or
-  std::filesystem::path asl;                      // an EuRoC/ASL folder, whose calibration the odometry takes
-  std::filesystem::path map;                      // raster or map database; empty: odometry alone
-  std::filesystem::path out;                      // LCM log of everything that was on the bus; empty: none
-  std::filesystem::path trajectory;               // the odometry's states in TUM's format; empty: none
-  std::filesystem::path times;                    // CSV, a line per image: what the odometry made of it; empty: none
+  std::filesystem::path config;      // folder of the aircraft or scenario; may be empty with `asl`: the
+                                     // odometry alone, with its default parameters
+  std::filesystem::path log;         // an LCM log, or
+  std::filesystem::path asl;         // an EuRoC/ASL folder, whose calibration the odometry takes
+  std::filesystem::path map;         // raster or map database; empty: odometry alone
+  std::filesystem::path out;         // LCM log of everything that was on the bus; empty: none
+  std::filesystem::path trajectory;  // the odometry's states in TUM's format; empty: none
+  std::filesystem::path times;       // CSV, a line per image: what the odometry made of it; empty: none
+  std::vector<Restart> restarts;
+  std::filesystem::path memory;                   // where the fusion keeps what it goes on with; empty: nowhere
   std::function<void(double fraction)> progress;  // called about once per second of flight; may be empty
 };
 
