@@ -7,26 +7,26 @@ namespace orthonav::fusion {
 
 // How well the odometry knows the motion from one keyframe to the next.
 struct EdgeOptions {
-  double position_walk = 9e-4;          // of the height above ground, per axis and square root of a second
+  double position_walk = 6e-4;          // of the height above ground, per axis and square root of a second
   double default_height = 150.0;        // m, where the height above ground is unknown
   double yaw_walk = 0.00026;            // rad per square root of a second
   bool use_odometry_covariance = true;  // in place of the above where the keyframe carries one, if it is larger
-  double tilt_stddev = 0.005;           // rad, of W's "up"
+  double tilt_stddev = 0.00384;         // rad, of W's "up"
   double tilt_time = 60.0;              // s, over which the tilt forgets
   double scale_stddev = 0.006;          // of the odometry's scale, as a fraction
   double start_scale_stddev = 0.1;      // the same at the start of a session, when it is not settled yet
   double scale_time = 120.0;            // s, over which it forgets
-  double velocity_stddev = 3.2e-4;      // 1/s, of the odometry's velocity per axis, over the height above ground
+  double velocity_stddev = 2.2e-4;      // 1/s, of the odometry's velocity per axis, over the height above ground
 };
 
 // How well a fix is known.
 struct FixOptions {
   double shared_horizontal_stddev = 0.5;  // m per axis: an error that neighbouring fixes share and none reports
-  double shared_vertical_stddev = 2.0;    // m
+  double shared_vertical_stddev = 1.2;    // m
   double shared_distance = 40.0;          // m of way over which it is forgotten
   double stddev_floor = 0.5;              // m per axis, added to what a fix says of itself
   double heading_stddev_floor =
-      0.05;                          // rad, added to a fitted heading's own: neighbours err alike, towards the compass
+      0.026;                         // rad, added to a fitted heading's own: neighbours err alike, towards the compass
   double scale_stddev_floor = 0.05;  // added to a fitted scale's own: all of a flight err alike by 1 %
   double default_stddev = 5.0;       // m per axis where the fix carries no covariance
   double huber = 1.5;                // standard deviations from which a fix counts linearly, equation (15)
