@@ -18,6 +18,7 @@
 #include "orthonav/nav_state_t.hpp"
 #include "orthonav/truth_t.hpp"
 #include "tests/playback/flight_fixture.h"
+#include "tests/support/temporary_folder.h"
 
 namespace orthonav {
 namespace {
@@ -148,8 +149,8 @@ struct Recovery {
 };
 
 Recovery kill(const std::string& service, double at) {
-  const fs::path out = flight_folder() / ("killed-" + service + ".lcm"), memory = flight_folder() / "memory";
-  fs::remove(memory);
+  const test::TemporaryFolder folder;
+  const fs::path out = folder / "killed.lcm", memory = folder / "memory";
   replay::ReplayOptions options;
   options.config = test::flight_config();
   options.log = test::flight_log();
@@ -172,8 +173,6 @@ Recovery kill(const std::string& service, double at) {
     }
   }
   recovery.rmse = test::evaluate(out)["fusion"]["rmse_m"].get<double>();
-  fs::remove(out);
-  fs::remove(memory);
   return recovery;
 }
 
