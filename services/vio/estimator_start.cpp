@@ -1,6 +1,7 @@
 // How the estimator starts: collects frames, tries the closed form, refines, and decides whether to trust it.
 #include <algorithm>
 #include <cmath>
+#include <string>
 
 #include <fmt/format.h>
 
@@ -16,6 +17,10 @@ constexpr double kStartTolerance = 1e-9;
 constexpr int kStartIterations = 60;
 constexpr double kTypicalError = 0.25;  // of a feature in a start, of outlier_error
 constexpr double kTryInterval = 0.2;    // s: a start is tried more often than its frames are kept
+
+std::string too_uncertain(double scale_sigma) {
+  return fmt::format("not enough acceleration yet: scale is uncertain by {:.0f} %", 100 * scale_sigma);
+}
 
 }  // namespace
 
@@ -167,6 +172,9 @@ bool Estimator::try_start() {
   start_prior(before, gyro_sigma);
   find_outliers();
   measure_noise(1.0);
+  // Far from enough: no need for a second solution, which costs as much as ten frames.
+  const double first_sigma = scale_sigma(normal_equations());
+  if (first_sigma > 4 * options_.init_scale_sigma) return give_up(too_uncertain(first_sigma));
   triangulate();
   const Solution solution = optimise(kStartIterations, kStartTolerance);
   find_outliers();
@@ -186,7 +194,7 @@ bool Estimator::try_start() {
   }
   const double sigma_scale = scale_sigma(normal_equations());
   if (!(sigma_scale < options_.init_scale_sigma)) {
-    return give_up(fmt::format("not enough acceleration yet: scale is uncertain by {:.0f} %", 100 * sigma_scale));
+    return give_up(too_uncertain(sigma_scale));
   }
   // Half way up its valley a start is at the wrong scale, and surer of it than at the right one.
   if (!solution.converged) return give_up("the motion is not settled yet");
