@@ -11,12 +11,12 @@ struct EdgeOptions {
   double default_height = 150.0;        // m, where the height above ground is unknown
   double yaw_walk = 0.00026;            // rad per square root of a second
   bool use_odometry_covariance = true;  // in place of the above where the keyframe carries one, if it is larger
-  double tilt_stddev = 0.00384;         // rad, of W's "up"
+  double tilt_stddev = 0.00297;         // rad, of W's "up"
   double tilt_time = 60.0;              // s, over which the tilt forgets
-  double scale_stddev = 0.006;          // of the odometry's scale, as a fraction
+  double scale_stddev = 0.02;           // of the odometry's scale, as a fraction
   double start_scale_stddev = 0.1;      // the same at the start of a session, when it is not settled yet
   double scale_time = 120.0;            // s, over which it forgets
-  double velocity_stddev = 2.2e-4;      // 1/s, of the odometry's velocity per axis, over the height above ground
+  double velocity_stddev = 1.5e-4;      // 1/s, of the odometry's velocity per axis, over the height above ground
 };
 
 // How well a fix is known.

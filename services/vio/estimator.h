@@ -130,6 +130,7 @@ class Estimator {
   double time_offset() const { return shared_.state.time_offset[0]; }  // s
   double height_bias() const { return shared_.state.height_bias[0]; }  // m
   const Extrinsics& extrinsics() const { return extrinsics_; }         // in use
+  double pixel_sigma() const { return pixel_sigma_; }                  // pixels, noise of a feature as measured
   bool still() const { return still_; }                                // nothing moves
   // Gyroscope bias as far as known, rad/s, and whether it is known well enough to predict rotations with.
   Eigen::Vector3d gyro_bias() const { return gyro_bias_; }

@@ -224,6 +224,7 @@ std::optional<VioOutput> Vio::next() {
       estimator_.reset();  // not flown, not even begun, for as long as this is so
     }
     if (!flying) session_began_ = now;
+    counters_["features.noise_px"] = estimator_.pixel_sigma();
     counters_["calibration.wrong"] = calibration_.complaint().empty() ? 0 : 1;
     output.session = session_;
     output.status = estimator_.status();
