@@ -100,8 +100,9 @@ std::vector<Row> Fleet::rows(int64_t now) const {
     row.rejected = sum(h, "rejected.");
     row.skew_ms = largest(h, "clock.skew_ms.");
     if (entry.has_before) {
-      const double elapsed = h.uptime - entry.before.uptime;
-      const auto rate = [&](const char* prefix) { return (sum(h, prefix) - sum(entry.before, prefix)) / elapsed; };
+      const health_t& before = entry.before;
+      const double elapsed = h.uptime - before.uptime;
+      const auto rate = [&](const char* prefix) { return (sum(h, prefix) - sum(before, prefix)) / elapsed; };
       row.in_hz = rate("received.");
       row.out_hz = rate("published.");
       row.rejected_hz = rate("rejected.");
