@@ -103,12 +103,10 @@ void report(const std::string& name, const Result& result, const std::filesystem
                 result.outputs.empty() ? "no images" : result.outputs.back().reason.c_str());
     return;
   }
-  size_t total = 0;
   std::string per_session;
   double first_scale = 0;
   for (const auto& [session, tracks] : sessions) {
     const auto& [from, to] = tracks;
-    total += from.size();
     if (from.size() < 20) continue;
     const Similarity rigid = align_yaw_translation(from, to), similar = align_umeyama(from, to, true);
     // Scale of the first ten seconds, for the start's quality.
