@@ -19,7 +19,8 @@ constexpr double kFittedTurnStddev = 0.7 * kRadian;
 constexpr double kFittedScaleStddev = 0.01;
 // What earlier fixes say of the heading, to the fit of the next one: so little that a wrong one is left behind, and
 // instead of the compass, which would pull every fit towards its bias (5.7 degrees off, it left fits 3-4 degrees off).
-constexpr double kLearntTurnStddev = 1.5 * kRadian;
+// At half of this a fit went a quarter of the way back to where the compass had put the first.
+constexpr double kLearntTurnStddev = 3 * kRadian;
 constexpr double kFittedShare = 0.3;
 constexpr double kLargestScaleStddev = 0.1;  // that a session begins with
 // Headings tried where none is known: a descriptor stands a turn of half a step.
