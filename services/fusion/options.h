@@ -9,14 +9,14 @@ namespace orthonav::fusion {
 struct EdgeOptions {
   double position_walk = 6e-4;          // of the height above ground, per axis and square root of a second
   double default_height = 150.0;        // m, where the height above ground is unknown
-  double yaw_walk = 0.00026;            // rad per square root of a second
+  double yaw_walk = 0.000122;           // rad per square root of a second
   bool use_odometry_covariance = true;  // in place of the above where the keyframe carries one, if it is larger
   double tilt_stddev = 0.00297;         // rad, of W's "up"
   double tilt_time = 60.0;              // s, over which the tilt forgets
   double scale_stddev = 0.02;           // of the odometry's scale, as a fraction
   double start_scale_stddev = 0.1;      // the same at the start of a session, when it is not settled yet
-  double scale_time = 120.0;            // s, over which it forgets
-  double velocity_stddev = 1.5e-4;      // 1/s, of the odometry's velocity per axis, over the height above ground
+  double scale_time = 600.0;            // s, over which it forgets
+  double velocity_stddev = 1.0e-4;      // 1/s, of the odometry's velocity per axis, over the height above ground
 };
 
 // How well a fix is known.

@@ -52,11 +52,11 @@ void fuse(const std::filesystem::path& config, const std::filesystem::path& log)
   for (const nav_state_t& state : heard.states) record.nav.push_back({state.utime, state});
   const evaluate::FusionMetrics m = evaluate::evaluate(record).fusion;
   const Health& health = node.health();
-  std::printf("%-22s %6.2f %6.2f %6.2f %7.1f %6.2f %6.2f %6.2f %6.1f %5.0f %5.0f %4.0f %4d %7.3f\n",
+  std::printf("%-22s %6.2f %6.2f %6.2f %7.1f %6.2f %6.2f %6.2f %6.2f %6.2f %6.1f %5.0f %5.0f %4.0f %4d %7.3f\n",
               log.stem().stem().string().c_str(), m.truth.rmse, m.truth.horizontal_rmse, m.truth.vertical_rmse,
-              m.truth.largest, m.heading_rmse * 57.29578, m.nees.position, m.nees.horizontal, m.time_to_first_fix,
-              health.counter("fixes.used"), health.counter("fixes.outlier"), health.counter("fixes.relocked"), m.resets,
-              health.counter("odometry.scale"));
+              m.truth.largest, m.heading_rmse * 57.29578, m.nees.position, m.nees.horizontal, m.nees.velocity,
+              m.nees.attitude, m.time_to_first_fix, health.counter("fixes.used"), health.counter("fixes.outlier"),
+              health.counter("fixes.relocked"), m.resets, health.counter("odometry.scale"));
 }
 
 }  // namespace
@@ -68,8 +68,8 @@ int main(int argc, char** argv) {
   app.add_option("config", config, "folder with fusion.yaml and aircraft.yaml")->required();
   app.add_option("logs", logs, "logs of orthonav-replay")->required();
   CLI11_PARSE(app, argc, argv);
-  std::printf("%-22s %6s %6s %6s %7s %6s %6s %6s %6s %5s %5s %4s %4s %7s\n", "flight", "3D", "horiz", "vert", "worst",
-              "head", "NEES", "NEES h", "lock s", "used", "outl.", "re.", "rst", "scale");
+  std::printf("%-22s %6s %6s %6s %7s %6s %6s %6s %6s %6s %6s %5s %5s %4s %4s %7s\n", "flight", "3D", "horiz", "vert",
+              "worst", "head", "NEES", "NEES h", "NEES v", "NEES a", "lock s", "used", "outl.", "re.", "rst", "scale");
   for (const std::filesystem::path& log : logs) fuse(config, log);
   return 0;
 }
