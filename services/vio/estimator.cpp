@@ -12,6 +12,7 @@ namespace {
 
 constexpr double kTolerance = 1e-4;  // relative decrease of the cost at which a frame's solution is good enough
 constexpr double kUnknownNoise = 3;  // times pixel_sigma, of tracks that nothing is known of yet
+constexpr double kMinDepth = 0.1;    // m, of a point that is seen
 constexpr double kNoiseShare = 0.1;  // that a keyframe has in the noise measured
 
 }  // namespace
@@ -36,7 +37,7 @@ void Estimator::reset() {
   shared_.camera_fixed = shared_.time_fixed = shared_.height_fixed = false;
   shared_.height_free = false;
   shared_.state.height_bias[0] = 0;
-  last_seen_.clear();
+  rates_.clear();
   glances_.clear();
   still_ = false;
   still_time_ = 0;
@@ -157,61 +158,40 @@ void Estimator::add_frame(int64_t utime, const std::vector<ImuSample>& imu) {
 
 void Estimator::add_observations(const std::vector<TrackedFeature>& features, const std::vector<ImuSample>& imu) {
   for (auto& [id, landmark] : landmarks_) landmark.tracked = false;
+  // Bearings without a rate beside others with one would say that there is no time offset: those of a first image are
+  // left out.
+  if (!rates_.see(features, imu, extrinsics_, gyro_bias_)) return;
   Frame* newest = frames_.back().get();
-  // How fast bearings move: by rotation as the gyroscope tells, by translation as they did before this image. A rate
-  // that contained this image's own noise would make that noise look like a time offset.
-  Eigen::Vector3d turn = Eigen::Vector3d::Zero();  // in C since the previous frame
-  Eigen::Vector3d rate_C = Eigen::Vector3d::Zero();
-  double dt = 0;
-  for (size_t k = 1; k < imu.size(); ++k) {
-    const double step = 1e-6 * static_cast<double>(imu[k].utime - imu[k - 1].utime);
-    turn += step * (0.5 * (imu[k].gyro + imu[k - 1].gyro) - gyro_bias_);
-    dt += step;
-  }
-  turn = extrinsics_.R_B_C.transpose() * turn;
-  if (!imu.empty()) rate_C = extrinsics_.R_B_C.transpose() * (imu.back().gyro - gyro_bias_);
-  const Eigen::Matrix3d R_now_before = so3_exp(turn).toRotationMatrix().transpose();
-  const auto rotational = [&](const Eigen::Vector3d& ray) -> Eigen::Vector2d {
-    const Eigen::Vector3d moved = -rate_C.cross(ray);
-    return moved.head<2>() - ray.head<2>() * moved.z();
-  };
-  std::map<int64_t, Sight> seen;
-  std::vector<double> u, v;
+  const StateValues& state = newest->state;
+  const Eigen::Matrix3d R_C_W = (state.q().toRotationMatrix() * extrinsics_.R_B_C).transpose();
+  const Eigen::Vector3d p_W_C = state.p() + state.q() * extrinsics_.p_B_C;
+  const Eigen::Vector3d velocity_C =
+      R_C_W * state.v() + rates_.turn_rate().cross(extrinsics_.R_B_C.transpose() * extrinsics_.p_B_C);
+  std::map<int64_t, double> inverse_depths;
+  std::vector<double> all;
+  const bool flying = status_ == Status::kTracking || status_ == Status::kDegraded;
   for (const TrackedFeature& feature : features) {
-    Sight sight{feature.ray, Eigen::Vector2d::Zero(), 0};
-    const auto before = last_seen_.find(feature.id);
-    if (before != last_seen_.end() && dt > 0) {
-      constexpr double kNewest = 0.2;  // weight of the newest of many differences
-      const Eigen::Vector3d turned = R_now_before * before->second.ray;
-      const Eigen::Vector2d difference = (feature.ray.head<2>() - turned.head<2>() / turned.z()) / dt;
-      sight.differences = before->second.differences + 1;
-      const double weight = std::max(kNewest, 1.0 / sight.differences);
-      sight.drift = (1 - weight) * before->second.drift + weight * difference;
-      u.push_back(difference.x());
-      v.push_back(difference.y());
-    }
-    seen[feature.id] = sight;
+    const auto known = landmarks_.find(feature.id);
+    if (!flying || known == landmarks_.end() || !known->second.has_depth) continue;
+    const double depth = (R_C_W * (position_of(known->second) - p_W_C)).z();
+    if (depth < kMinDepth) continue;
+    all.push_back(inverse_depths[feature.id] = 1 / depth);
   }
-  if (last_seen_.empty()) {
-    // Nothing tells yet how fast these move. Bearings without a rate beside others with one would say that there is no
-    // time offset, so they wait for the next image.
-    last_seen_ = std::move(seen);
-    return;
-  }
-  const Eigen::Vector2d usual = u.empty() ? Eigen::Vector2d::Zero() : Eigen::Vector2d(median(u), median(v));
+  const double usual = all.empty() ? 0 : median(all);
   for (const TrackedFeature& feature : features) {
     Landmark& landmark = landmarks_[feature.id];
     landmark.id = feature.id;
     landmark.tracked = true;
-    const auto before = last_seen_.find(feature.id);
-    const bool known = before != last_seen_.end() && before->second.differences > 0;
+    const auto inverse_depth = inverse_depths.find(feature.id);
     Observation observation{newest, feature.pixel, feature.ray, Eigen::Vector2d::Zero()};
-    observation.rate = rotational(feature.ray) + (known ? before->second.drift : usual);
+    observation.rate = all.empty()
+                           ? rates_.by_differences(feature)
+                           : rates_.by_motion(feature, velocity_C,
+                                              inverse_depth == inverse_depths.end() ? usual : inverse_depth->second);
     // A shutter that rolls sees the rows of a picture at times of their own.
     observation.ray.head<2>() -= observation.rate * feature.row_delay;
     landmark.observations.push_back(observation);
   }
-  last_seen_ = std::move(seen);
 }
 
 void Estimator::drop_newest() {
@@ -299,7 +279,7 @@ void Estimator::triangulate() {
     }
     if (widest < min_parallax || den <= 0) continue;
     const double depth = num / den;
-    if (depth < 0.1 || depth > 1e4) continue;
+    if (depth < kMinDepth || depth > 1e4) continue;
     landmark.inverse_depth = 1.0 / depth;
     landmark.has_depth = true;
   }
@@ -311,13 +291,17 @@ std::vector<Frame*> Estimator::frame_pointers() const {
   return result;
 }
 
+Eigen::Vector3d Estimator::position_of(const Landmark& landmark) const {
+  const Observation& anchor = landmark.anchor();
+  const Eigen::Vector3d p_B = extrinsics_.R_B_C * anchor.ray / landmark.inverse_depth + extrinsics_.p_B_C;
+  return anchor.frame->state.q() * p_B + anchor.frame->state.p();
+}
+
 void Estimator::update_height() {
   std::vector<double> heights;
   for (const auto& [id, landmark] : landmarks_) {
     if (!landmark.tracked || !landmark.has_depth) continue;
-    const Observation& anchor = landmark.anchor();
-    const Eigen::Vector3d p_B = extrinsics_.R_B_C * anchor.ray / landmark.inverse_depth + extrinsics_.p_B_C;
-    heights.push_back((anchor.frame->state.q() * p_B + anchor.frame->state.p()).z());
+    heights.push_back(position_of(landmark).z());
   }
   height_ = frames_.back()->state.p().z() - median(heights);
 }

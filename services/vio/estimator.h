@@ -38,6 +38,7 @@
 #include <vector>
 
 #include "common/camera/camera_model.h"
+#include "services/vio/bearing_rates.h"
 #include "services/vio/prior.h"
 #include "services/vio/state.h"
 
@@ -162,6 +163,7 @@ class Estimator {
   double parallax_to(const Frame& reference, int* common) const;
   void choose_keyframe();
   void triangulate();
+  Eigen::Vector3d position_of(const Landmark& landmark) const;  // m, in W; it has a depth
   void update_height();
   std::vector<Frame*> frame_pointers() const;
   double weight() const { return focal_ / pixel_sigma_; }
@@ -215,12 +217,7 @@ class Estimator {
   Eigen::Vector3d gyro_bias_ = Eigen::Vector3d::Zero();
   double gyro_bias_sigma_ = 0;
   bool gyro_bias_known_ = false;
-  struct Sight {
-    Eigen::Vector3d ray;
-    Eigen::Vector2d drift;  // 1/s, of the ray by translation, averaged
-    int differences;        // that went into it
-  };
-  std::map<int64_t, Sight> last_seen_;  // in the previous frame
+  BearingRates rates_;
   // The last second, to see standstill.
   struct Glance {
     int64_t utime;

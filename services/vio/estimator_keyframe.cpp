@@ -54,8 +54,7 @@ void Estimator::publish_keyframe() {
     feature.id = id;
     feature.pixel = here.pixel;
     feature.ray_C = here.ray;
-    const Eigen::Vector3d p_W =
-        at.q() * (extrinsics_.R_B_C * anchor.ray / landmark.inverse_depth + extrinsics_.p_B_C) + at.p();
+    const Eigen::Vector3d p_W = position_of(landmark);
     feature.p_W = q_P_W_ * p_W + p_P_W_;
     feature.reprojection_error = landmark.reprojection_error;
     double information = 0;

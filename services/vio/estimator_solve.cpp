@@ -63,9 +63,7 @@ void Estimator::choose_height_landmark(Frame& frame) {
   std::vector<std::pair<double, int64_t>> heights;
   for (const auto& [id, landmark] : landmarks_) {
     if (!landmark.tracked || !landmark.has_depth || landmark.anchor().frame == &frame) continue;
-    const StateValues& at = landmark.anchor().frame->state;
-    const Eigen::Vector3d p_B = extrinsics_.R_B_C * landmark.anchor().ray / landmark.inverse_depth + extrinsics_.p_B_C;
-    heights.emplace_back((at.q() * p_B + at.p()).z(), id);
+    heights.emplace_back(position_of(landmark).z(), id);
   }
   if (heights.empty()) return;
   const auto middle = heights.begin() + static_cast<std::ptrdiff_t>(heights.size() / 2);
@@ -196,8 +194,7 @@ Estimator::Solution Estimator::optimise(int iterations, double tolerance) {
 void Estimator::leave_frame(Landmark& landmark, const Frame& leaving) {
   auto& observations = landmark.observations;
   if (landmark.anchor().frame == &leaving && observations.size() > 1 && landmark.has_depth) {
-    const Eigen::Vector3d p_B = extrinsics_.R_B_C * landmark.anchor().ray / landmark.inverse_depth + extrinsics_.p_B_C;
-    const Eigen::Vector3d p_W = leaving.state.q() * p_B + leaving.state.p();
+    const Eigen::Vector3d p_W = position_of(landmark);
     const StateValues& next = observations[1].frame->state;
     const Eigen::Vector3d p_C =
         extrinsics_.R_B_C.transpose() * (next.q().conjugate() * (p_W - next.p()) - extrinsics_.p_B_C);
