@@ -144,7 +144,12 @@ void Estimator::add_frame(int64_t utime, const std::vector<ImuSample>& imu) {
     frame->state.bg() = gyro_bias_;
   } else {
     const StateValues& last = frames_.back()->state;
-    frame->imu = std::make_unique<Preintegration>(last.ba(), last.bg(), noise_);
+    ImuNoise noise = noise_;
+    noise.gyro_noise *= std::sqrt(gyro_variance_);
+    noise.accel_noise *= std::sqrt(accel_variance_);
+    frame->gyro_variance = gyro_variance_;
+    frame->accel_variance = accel_variance_;
+    frame->imu = std::make_unique<Preintegration>(last.ba(), last.bg(), noise);
     for (const ImuSample& sample : imu) frame->imu->add(sample);
     const Eigen::Vector3d g(0, 0, -options_.gravity);
     const double T = frame->imu->duration();

@@ -185,6 +185,7 @@ class Estimator {
   void watch_standstill(int64_t utime, const std::vector<TrackedFeature>& features, const std::vector<ImuSample>& imu);
   void find_outliers();
   void measure_noise(double share);
+  void measure_imu_noise();
   std::string find_failure();
   bool scale_was_wrong() const;
 
@@ -230,13 +231,14 @@ class Estimator {
   Eigen::Vector3d still_gyro_ = Eigen::Vector3d::Zero();  // rad/s, mean of the last second
   int64_t next_frame_id_ = 0;
   int next_keyframe_id_ = 0;
-  int64_t tried_utime_ = 0;        // when a start was last tried
-  int64_t seen_utime_ = 0;         // when enough landmarks were last in view
-  int64_t last_frame_utime_ = 0;   // of the last frame that was judged; 0: none since the reset
-  double pixel_sigma_ = 0;         // pixels, 1 sigma of a tracked feature, as measured
-  double error_time_ = 0;          // s, for which camera and IMU have contradicted each other
-  double sunk_time_ = 0;           // s, for which the ground has been above the aircraft
-  int in_view_ = 0, refused_ = 0;  // landmarks of the newest frame: with a depth, and found to be wrong
+  int64_t tried_utime_ = 0;                        // when a start was last tried
+  int64_t seen_utime_ = 0;                         // when enough landmarks were last in view
+  int64_t last_frame_utime_ = 0;                   // of the last frame that was judged; 0: none since the reset
+  double pixel_sigma_ = 0;                         // pixels, 1 sigma of a tracked feature, as measured
+  double gyro_variance_ = 1, accel_variance_ = 1;  // of the IMU's noise as measured, over the data sheet's
+  double error_time_ = 0;                          // s, for which camera and IMU have contradicted each other
+  double sunk_time_ = 0;                           // s, for which the ground has been above the aircraft
+  int in_view_ = 0, refused_ = 0;                  // landmarks of the newest frame: with a depth, and found to be wrong
   double height_ = 0;
   std::vector<ScaleHint> hints_;
   std::optional<std::pair<double, double>> new_hint_;  // ratio and its standard deviation

@@ -209,6 +209,7 @@ void Estimator::leave_frame(Landmark& landmark, const Frame& leaving) {
 }
 
 void Estimator::marginalise_oldest() {
+  measure_imu_noise();
   Frame& oldest = *frames_.front();
   NormalEquations equations(frame_pointers(), shared_);
   equations.add_prior(prior_);

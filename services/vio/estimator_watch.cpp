@@ -109,6 +109,24 @@ void Estimator::measure_noise(double share) {
   pixel_sigma_ += share * (measured - pixel_sigma_);
 }
 
+// What the solution leaves of the oldest motion, of which everything is known that ever will be. That is less than the
+// noise itself, so a sensor as good as its data sheet stays there; one on an airframe that shakes does not.
+void Estimator::measure_imu_noise() {
+  constexpr double kShare = 0.05;       // that one motion has
+  constexpr double kMostOfOne = 25;     // a knock is no noise
+  constexpr double kMaxVariance = 400;  // twenty times the data sheet's
+  const Frame& from = *frames_[0];
+  const Frame& to = *frames_[1];
+  ImuFactor::Vector15 residual;
+  ImuFactor::evaluate(*to.imu, from.state, to.state, options_.gravity, &residual, nullptr);
+  const auto follow = [&](double& variance, double integrated_with, int part) {
+    const double left = std::min(kMostOfOne, residual.segment<3>(part).squaredNorm() / 3);
+    variance = std::clamp(variance + kShare * (integrated_with * left - variance), 1.0, kMaxVariance);
+  };
+  follow(gyro_variance_, to.gyro_variance, 3);
+  follow(accel_variance_, to.accel_variance, 6);
+}
+
 std::string Estimator::find_failure() {
   const Frame& newest = *frames_.back();
   const Frame& last = *frames_[frames_.size() - 2];

@@ -88,6 +88,7 @@ struct Frame {
   bool speed_bias_fixed = false;  // likewise
   // From the previous frame of the window to this one; null in the oldest.
   std::unique_ptr<Preintegration> imu;
+  double gyro_variance = 1, accel_variance = 1;  // that it was integrated with, over those of the data sheet
 };
 
 // A feature as the tracker saw it in one image.

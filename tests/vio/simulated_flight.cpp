@@ -152,8 +152,8 @@ std::vector<SimulatedFrame> simulate_frames(const Trajectory& trajectory, double
         sample.gyro += bg;
         sample.accel += ba;
         if (noise.imu) {
-          sample.gyro += class_noise.gyro_noise / root * draw();
-          sample.accel += class_noise.accel_noise / root * draw();
+          sample.gyro += noise.imu_times * class_noise.gyro_noise / root * draw();
+          sample.accel += noise.imu_times * class_noise.accel_noise / root * draw();
           bg += class_noise.gyro_walk * root * draw();
           ba += class_noise.accel_walk * root * draw();
         }

@@ -45,6 +45,7 @@ struct SimulatedNoise {
   bool imu = false;                                      // of ImuNoise's default class, with the biases below
   Eigen::Vector3d gyro_bias = Eigen::Vector3d::Zero();   // rad/s
   Eigen::Vector3d accel_bias = Eigen::Vector3d::Zero();  // m/s^2
+  double imu_times = 1;                                  // white noise over that of the class: an airframe that shakes
 };
 
 // What the camera really is, where the estimator believes in downward_camera() and a global shutter in time.
