@@ -116,8 +116,9 @@ const std::array<float, kCells * kCells>& cell_weights() {
   static const auto weights = [] {
     std::array<float, kCells * kCells> w{};
     for (int i = 0; i < kCells * kCells; ++i) {
-      const double x = i % kCells - 0.5 * (kCells - 1);
-      const double y = i / kCells - 0.5 * (kCells - 1);
+      const int row = i / kCells, column = i % kCells;
+      const double x = column - 0.5 * (kCells - 1);
+      const double y = row - 0.5 * (kCells - 1);
       w[static_cast<size_t>(i)] = static_cast<float>(std::exp(-(x * x + y * y) / (0.5 * kCells * kCells)));
     }
     return w;
@@ -178,8 +179,9 @@ bool OrientationField::describe(const Eigen::Vector2f& centre, const Eigen::Matr
   std::array<float, kSiftBytes> values{};
   const std::array<float, kCells* kCells>& weights = cell_weights();
   for (int cell = 0; cell < kCells * kCells; ++cell) {
-    const auto x = static_cast<float>((cell % kCells - 0.5 * (kCells - 1)) * cell_);
-    const auto y = static_cast<float>((cell / kCells - 0.5 * (kCells - 1)) * cell_);
+    const int cell_row = cell / kCells, cell_column = cell % kCells;
+    const auto x = static_cast<float>((cell_column - 0.5 * (kCells - 1)) * cell_);
+    const auto y = static_cast<float>((cell_row - 0.5 * (kCells - 1)) * cell_);
     // The middle of node 0 is the middle of its block of pixels.
     const Eigen::Vector2f place =
         ((centre + jacobian * Eigen::Vector2f(x, y)).array() - 0.5F * (pixels_per_node_ - 1)) / pixels_per_node_;

@@ -195,7 +195,7 @@ std::optional<CompassReading> Fusion::compass_near(int64_t utime) const {
                                       [](const CompassReading& reading, int64_t t) { return reading.utime < t; });
   std::optional<CompassReading> best;
   int64_t distance = kCompassNear + 1;
-  for (auto candidate : {after, after == compass_.begin() ? after : std::prev(after)}) {
+  for (const auto& candidate : {after, after == compass_.begin() ? after : std::prev(after)}) {
     if (candidate == compass_.end() || std::abs(candidate->utime - utime) >= distance) continue;
     distance = std::abs(candidate->utime - utime);
     best = *candidate;

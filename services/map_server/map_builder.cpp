@@ -142,7 +142,7 @@ std::vector<MapDescription> build_map(const std::filesystem::path& raster, const
 std::filesystem::path prepare_map(const std::filesystem::path& map, const BuildOptions& options,
                                   const std::function<void(const BuildProgress&)>& progress) {
   if (map.extension() == ".onmap") return map;
-  const std::filesystem::path cache = fmt::format("{}.{}.onmap", map.string(), name_of(options.features));
+  std::filesystem::path cache = fmt::format("{}.{}.onmap", map.string(), name_of(options.features));
   const std::string problem = unusable(cache, build_fingerprint(map, options), false);
   if (problem.empty()) return cache;
   spdlog::info("building the database of {}: {}", map.string(), problem);

@@ -164,7 +164,7 @@ void MapDatabaseWriter::resume() {
     std::ofstream(journal_file_, std::ios::binary | std::ios::trunc) << head;
     good = head.size();
   }
-  std::ofstream(unfinished_, std::ios::binary | std::ios::app);  // made where it is missing
+  std::ofstream(unfinished_, std::ios::binary | std::ios::app).close();  // made where it is missing
   // What a kill left half written goes; the head's room is filled at the end.
   if (::truncate(journal_file_.c_str(), static_cast<off_t>(good)) != 0 ||
       ::truncate(unfinished_.c_str(), static_cast<off_t>(end_)) != 0) {

@@ -61,28 +61,29 @@ struct Functions {
   void (*add)(const float*, size_t, float*);
 };
 
-// One set of functions for an instruction set; `target` is the attribute that asks for it.
-#define ORTHONAV_FUNCTIONS(suffix, target)                                                                         \
-  target int32_t dot_product_##suffix(const uint8_t* a, const uint8_t* b) {                                        \
-    return dot_product_loop(a, b);                                                                                 \
-  }                                                                                                                \
-  target void coarse_products_##suffix(const uint8_t* query, const uint8_t* row, size_t stride, size_t count,      \
-                                       uint16_t* out) {                                                            \
-    coarse_products_loop(query, row, stride, count, out);                                                          \
-  }                                                                                                                \
-  target void evidence_##suffix(const uint16_t* products, const float* scales, const float* offsets, size_t count, \
-                                const EvidenceLine& line, float* out) {                                            \
-    evidence_loop(products, scales, offsets, count, line, out);                                                    \
-  }                                                                                                                \
-  target void add_##suffix(const float* values, size_t count, float* sum) {                                        \
-    add_loop(values, count, sum);                                                                                  \
-  }                                                                                                                \
-  constexpr Functions functions_##suffix = {dot_product_##suffix, coarse_products_##suffix, evidence_##suffix,     \
+// One set of functions for an instruction set; `attribute` is the one that asks for it.
+#define ORTHONAV_FUNCTIONS(suffix, attribute)                                                                       \
+  __attribute__((attribute)) int32_t dot_product_##suffix(const uint8_t* a, const uint8_t* b) {                     \
+    return dot_product_loop(a, b);                                                                                  \
+  }                                                                                                                 \
+  __attribute__((attribute)) void coarse_products_##suffix(const uint8_t* query, const uint8_t* row, size_t stride, \
+                                                           size_t count, uint16_t* out) {                           \
+    coarse_products_loop(query, row, stride, count, out);                                                           \
+  }                                                                                                                 \
+  __attribute__((attribute)) void evidence_##suffix(const uint16_t* products, const float* scales,                  \
+                                                    const float* offsets, size_t count, const EvidenceLine& line,   \
+                                                    float* out) {                                                   \
+    evidence_loop(products, scales, offsets, count, line, out);                                                     \
+  }                                                                                                                 \
+  __attribute__((attribute)) void add_##suffix(const float* values, size_t count, float* sum) {                     \
+    add_loop(values, count, sum);                                                                                   \
+  }                                                                                                                 \
+  constexpr Functions functions_##suffix = {dot_product_##suffix, coarse_products_##suffix, evidence_##suffix,      \
                                             add_##suffix};
 
 ORTHONAV_FUNCTIONS(any, )
 #if defined(__x86_64__)
-ORTHONAV_FUNCTIONS(avx2, __attribute__((target("avx2"))))
+ORTHONAV_FUNCTIONS(avx2, target("avx2"))
 #endif
 
 const Functions& functions() {

@@ -105,12 +105,10 @@ RelativeRotation relative_rotation(const std::vector<Eigen::Vector3d>& rays_1,
       best = std::min(best, found.back().residual);
     }
   }
-  const RelativeRotation* chosen = nullptr;
-  for (const RelativeRotation& one : found) {
-    if (one.residual > 1.2 * best + 0.02) continue;
-    if (!chosen || (one.w - expected).norm() < (chosen->w - expected).norm()) chosen = &one;
-  }
-  return *chosen;
+  std::erase_if(found, [&](const RelativeRotation& one) { return one.residual > 1.2 * best + 0.02; });
+  return *std::min_element(found.begin(), found.end(), [&](const RelativeRotation& a, const RelativeRotation& b) {
+    return (a.w - expected).norm() < (b.w - expected).norm();
+  });
 }
 
 CalibrationCheck::CalibrationCheck(const CalibrationCheckOptions& options, const Extrinsics& extrinsics, double gravity,

@@ -11,7 +11,7 @@ void SealAndCheck(benchmark::State& state) {
   orthonav::Sealer sealer(key);
   orthonav::SealChecker checker(key);
   const std::vector<uint8_t> message(static_cast<size_t>(state.range(0)), 7);
-  for (auto _ : state) {
+  for ([[maybe_unused]] auto _ : state) {
     std::vector<uint8_t> sealed = message;
     sealer.seal("CAMERA", 1, sealed);
     benchmark::DoNotOptimize(checker.refusal("CAMERA", 1, sealed.data(), sealed.size()));

@@ -110,7 +110,7 @@ TEST(Seal, OldIsRefusedAlsoFromASenderNobodyHeard) {
 class KeyFile : public testing::Test {
  protected:
   fs::path write(const std::string& text, fs::perms permissions = fs::perms::owner_read) const {
-    const fs::path file = folder_ / "key";
+    fs::path file = folder_ / "key";
     fs::remove(file);
     std::ofstream(file) << text;
     fs::permissions(file, permissions);

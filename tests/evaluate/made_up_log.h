@@ -165,7 +165,8 @@ inline void write_log(const std::filesystem::path& file, const LogContent& conte
       put(so3_exp(Eigen::Vector3d(0, 0, -std::numbers::pi / 180.0)) * q_G_B, nav.q_G_B);
       const double variances[6] = {content.nav_stddev, content.nav_stddev, content.nav_stddev, 0.1, 0.1, 0.1};
       for (int i = 0; i < 6; ++i) nav.covariance[7 * i] = variances[i] * variances[i];
-      nav.processing_ms = k < 50 ? 0.0 : 2.0 + k / 100;
+      const int hundreds = k / 100;
+      nav.processing_ms = k < 50 ? 0.0 : 2.0 + hundreds;
       writer.write(logged + content.logger_delay, channel::kNavState, nav);
     }
   }

@@ -83,7 +83,7 @@ class MapOfOneGround : public testing::Test {
 
   std::filesystem::path orthophoto(const std::string& name, const std::string& crs, double width, double height,
                                    const cv::Size& size = {240, 240}) {
-    const auto file = folder_ / (name + ".tif");
+    auto file = folder_ / (name + ".tif");
     write_orthophoto(file, texture_, earth_, grid_at(crs, kCorner, width, height, folder_ / "unit.tif"), size);
     return file;
   }

@@ -82,7 +82,7 @@ class MapDatabaseFile : public testing::Test {
   }
 
   std::filesystem::path variant(const std::string& bytes) {
-    const auto file = folder_ / "variant.onmap";
+    auto file = folder_ / "variant.onmap";
     std::ofstream(file, std::ios::binary) << bytes;
     return file;
   }

@@ -42,7 +42,7 @@ class RasterKinds : public testing::Test {
  protected:
   std::filesystem::path write(const Kind& kind) {
     GDALAllRegister();
-    const auto file = folder_ / "map.tif";
+    auto file = folder_ / "map.tif";
     GDALDataset* dataset = GetGDALDriverManager()->GetDriverByName("GTiff")->Create(file.c_str(), kSide, kSide,
                                                                                     kind.bands, kind.type, nullptr);
     if (!kind.transform.empty()) {

@@ -9,7 +9,6 @@
 namespace orthonav::registration {
 namespace {
 
-using testing::ElementsAre;
 using testing::HasSubstr;
 
 constexpr int kPerTile = 10;

@@ -84,10 +84,8 @@ Scene port(const std::filesystem::path& folder, int num_views) {
     Geodetic corner;
     GeographicLib::UTMUPS::Reverse(50, false, kEast, kNorth, corner.latitude_deg, corner.longitude_deg);
     const Eigen::Vector2d pixel = raster.geodetic_to_pixel(corner) + Eigen::Vector2d(0.5, 0.5);
-    const cv::Mat grey =
-        raster.read_grey(cv::Rect(cvRound(pixel.x()), cvRound(pixel.y()), cvRound(kWidth / metres_per_pixel),
-                                  cvRound(kHeight / metres_per_pixel)));
-    return grey;
+    return raster.read_grey(cv::Rect(cvRound(pixel.x()), cvRound(pixel.y()), cvRound(kWidth / metres_per_pixel),
+                                     cvRound(kHeight / metres_per_pixel)));
   };
   constexpr double kCamera = 0.075, kMap = 0.3, kView = 0.1285;
   const cv::Mat ground = crop("PORT_1908_0.075m_utm50s.tif", kCamera);
@@ -297,8 +295,9 @@ MapFeatures plain_around(const MapFeatures& features, double pitch, int64_t coun
   for (int64_t i = 0; i < count; ++i) {
     const int here = at[static_cast<size_t>(i)];
     const int from = here >= 0 ? here : static_cast<int>(random() % features.positions.size());
-    plain.positions.emplace_back(static_cast<float>((0.5 + static_cast<double>(i % side)) * pitch),
-                                 static_cast<float>(-(0.5 + static_cast<double>(i / side)) * pitch), 0.0F);
+    const int64_t row = i / side, column = i % side;
+    plain.positions.emplace_back(static_cast<float>((0.5 + static_cast<double>(column)) * pitch),
+                                 static_cast<float>(-(0.5 + static_cast<double>(row)) * pitch), 0.0F);
     features.descriptors.row(from).copyTo(plain.descriptors.row(static_cast<int>(i)));
   }
   return plain;

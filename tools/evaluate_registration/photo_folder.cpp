@@ -94,7 +94,7 @@ Eigen::Vector2d position(const Table& row, const EnuFrame& frame, const Raster* 
     }
   } else if (row.has("map_u_px")) {
     if (map == nullptr) row.fail("positions in map pixels need --map to be the raster, not its database");
-    const Eigen::Vector2d pixel(row.value("map_u_px"), row.value("map_v_px"));
+    Eigen::Vector2d pixel(row.value("map_u_px"), row.value("map_v_px"));
     if (!pixel.allFinite()) return pixel;
     place = map->pixel_to_geodetic(pixel);
   } else {

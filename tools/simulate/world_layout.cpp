@@ -140,7 +140,7 @@ Eigen::Vector2d LayoutBuilder::point_in(const Outline& polygon) {
   const Box box = bounding_box(polygon);
   const Eigen::Vector2d along = direction_of(box.angle), across(-along.y(), along.x());
   for (int attempt = 0; attempt < 50; ++attempt) {
-    const Eigen::Vector2d p =
+    Eigen::Vector2d p =
         box.centre + along * box.length * random_.uniform(-0.5, 0.5) + across * box.width * random_.uniform(-0.5, 0.5);
     if (contains(polygon, p)) return p;
   }

@@ -60,15 +60,15 @@ int main(int argc, char** argv) {
       fmt::print("{}", json ? status::to_json(rows) : status::to_text(rows, terminal));
       std::fflush(stdout);
     };
-    do {
+    for (;;) {
       const int64_t end = monotonic() + static_cast<int64_t>(1e6 * (watch ? 1.0 : seconds));
       for (int64_t left = end - monotonic(); left > 0; left = end - monotonic()) {
         bus.handleTimeout(static_cast<int>(std::min<int64_t>(left / 1000 + 1, 100)));
       }
       if (watch && terminal && !json) fmt::print("\033[H\033[2J");
       show();
-    } while (watch);
-    return static_cast<int>(fleet.verdict(monotonic()));
+      if (!watch) return static_cast<int>(fleet.verdict(monotonic()));
+    }
   } catch (const std::exception& error) {
     fmt::print(stderr, "orthonav-status: {}\n", error.what());
     return 3;
