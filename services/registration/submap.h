@@ -42,7 +42,7 @@ struct SubmapOptions {
   double min_likelihood_share = 0.35;
   // and, unless the aircraft is expected there, that share plus three times the share of the points that stay when
   // matches are aligned plus a 1500th of the former.
-  double min_evidence = 1.25;
+  double min_evidence = 1.4;
   int min_inliers = 8;
   int coarse_places = 12;  // of the coarse grid that are compared at full resolution
   EvidenceOptions evidence;
