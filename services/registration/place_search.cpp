@@ -2,9 +2,11 @@
 
 #include <algorithm>
 #include <cmath>
+#include <utility>
 
 #include <Eigen/Geometry>
 
+#include "common/math/so3.h"
 #include "services/registration/dot_products.h"
 
 namespace orthonav::registration {
@@ -28,26 +30,30 @@ struct Peak {
   double value = 0;
 };
 
-std::vector<Peak> best_peaks(const std::vector<std::vector<float>>& pictures, int rows, int columns, double separation,
-                             int count) {
-  const size_t size = static_cast<size_t>(rows) * static_cast<size_t>(columns);
-  std::vector<float> best(size, -1);
-  std::vector<uint16_t> from(size, 0);
-  for (size_t h = 0; h < pictures.size(); ++h) {
-    for (size_t i = 0; i < size; ++i) {
-      if (pictures[h][i] > best[i]) {
-        best[i] = pictures[h][i];
-        from[i] = static_cast<uint16_t>(h);
-      }
+// The best picture at each cell.
+struct BestPicture {
+  std::vector<float> value;
+  std::vector<uint16_t> from;
+
+  explicit BestPicture(size_t size) : value(size, -1), from(size, 0) {}
+  void add(const std::vector<float>& picture, size_t index) {
+    for (size_t i = 0; i < value.size(); ++i) {
+      if (picture[i] <= value[i]) continue;
+      value[i] = picture[i];
+      from[i] = static_cast<uint16_t>(index);
     }
   }
+};
+
+std::vector<Peak> best_peaks(BestPicture pictures, int rows, int columns, double separation, int count) {
+  std::vector<float>& best = pictures.value;
   std::vector<Peak> peaks;
   const int reach = static_cast<int>(std::ceil(separation));
   while (static_cast<int>(peaks.size()) < count) {
     const size_t at = static_cast<size_t>(std::max_element(best.begin(), best.end()) - best.begin());
     if (!(best[at] > 0)) break;
     const Cell cell{static_cast<int>(at) / columns, static_cast<int>(at) % columns};
-    peaks.push_back({cell, from[at], best[at]});
+    peaks.push_back({cell, pictures.from[at], best[at]});
     for (int row = std::max(0, cell.row - reach); row <= std::min(rows - 1, cell.row + reach); ++row) {
       for (int column = std::max(0, cell.column - reach); column <= std::min(columns - 1, cell.column + reach);
            ++column) {
@@ -79,6 +85,16 @@ void dilate(std::vector<float>& picture, int rows, int columns) {
       picture[at(row, column)] = std::max({wide[at(above, column)], wide[at(row, column)], wide[at(below, column)]});
     }
   }
+}
+
+// Of `all`, which refer to `yaw`, the one nearest to one that refers to another yaw. A turn moves points by as much as
+// a scale of the same size.
+size_t closest(const std::vector<Alignment>& all, double yaw, const Alignment& to, double its_yaw) {
+  const auto distance = [&](const Alignment& one) {
+    return std::hypot(wrap_angle(yaw + one.turn - its_yaw - to.turn), std::log(one.scale / to.scale));
+  };
+  const auto nearer = [&](const Alignment& a, const Alignment& b) { return distance(a) < distance(b); };
+  return static_cast<size_t>(std::min_element(all.begin(), all.end(), nearer) - all.begin());
 }
 
 float evidence(const ViewPoint& point, const MapIndex& index, int feature, const EvidenceOptions& options) {
@@ -123,6 +139,7 @@ CoarseLikelihood coarse_likelihood(const View& view, const MapIndex& index, cons
     columns[1] = std::min(columns[1], static_cast<int>(std::ceil(centre.x() + reach)) + 1);
   }
   CoarseLikelihood result;
+  result.alignments = candidates;
   result.first_row = rows[0];
   result.first_column = columns[0];
   result.rows = std::max(0, rows[1] - rows[0]);
@@ -188,14 +205,16 @@ std::vector<PlaceCandidate> best_coarse_places(const std::vector<ShiftedLikeliho
                                                const std::vector<Alignment>& candidates, double separation, int count) {
   if (keyframes.empty()) return {};
   const double pitch = 2 * index.pitch();
+  const double yaw = keyframes.front().yaw;
   const CoarseLikelihood& newest = *keyframes.front().likelihood;
-  std::vector<std::vector<float>> sums = newest.sums;
-  for (size_t k = 1; k < keyframes.size(); ++k) {
-    const CoarseLikelihood& other = *keyframes[k].likelihood;
-    for (size_t h = 0; h < candidates.size(); ++h) {
+  BestPicture best(static_cast<size_t>(newest.rows) * static_cast<size_t>(newest.columns));
+  for (size_t h = 0; h < candidates.size(); ++h) {
+    std::vector<float> sum(best.value.size(), 0.0F);
+    for (const ShiftedLikelihood& keyframe : keyframes) {
+      const CoarseLikelihood& other = *keyframe.likelihood;
+      const std::vector<float>& picture = other.sums[closest(other.alignments, keyframe.yaw, candidates[h], yaw)];
       // Where that keyframe's body was, seen from the newest.
-      const Cell shift =
-          cell_offset(candidates[h].offset(keyframes[k].yaw, keyframes[k].p_W_B, keyframes.front().p_W_B), pitch);
+      const Cell shift = cell_offset(candidates[h].offset(yaw, keyframe.p_W_B, keyframes.front().p_W_B), pitch);
       for (int row = 0; row < newest.rows; ++row) {
         const int from = row + newest.first_row + shift.row - other.first_row;
         if (from < 0 || from >= other.rows) continue;
@@ -203,15 +222,16 @@ std::vector<PlaceCandidate> best_coarse_places(const std::vector<ShiftedLikeliho
         const int first = std::max(0, -move);
         const int last = std::min(newest.columns, other.columns - move);
         if (first >= last) continue;
-        add(&other.sums[h][static_cast<size_t>(from) * static_cast<size_t>(other.columns) +
-                           static_cast<size_t>(first + move)],
+        add(&picture[static_cast<size_t>(from) * static_cast<size_t>(other.columns) +
+                     static_cast<size_t>(first + move)],
             static_cast<size_t>(last - first),
-            &sums[h][static_cast<size_t>(row) * static_cast<size_t>(newest.columns) + static_cast<size_t>(first)]);
+            &sum[static_cast<size_t>(row) * static_cast<size_t>(newest.columns) + static_cast<size_t>(first)]);
       }
     }
+    best.add(sum, h);
   }
   std::vector<PlaceCandidate> places;
-  for (const Peak& peak : best_peaks(sums, newest.rows, newest.columns, separation / pitch, count)) {
+  for (const Peak& peak : best_peaks(std::move(best), newest.rows, newest.columns, separation / pitch, count)) {
     const Eigen::Vector2d en =
         index.place(2 * (peak.cell.row + newest.first_row), 2 * (peak.cell.column + newest.first_column));
     places.push_back({en, peak.picture, peak.value});
@@ -264,8 +284,10 @@ std::vector<PlaceCandidate> best_fine_places(const std::vector<const View*>& vie
       add(own[h].data(), own[h].size(), sums[h].data());
     }
   }
+  BestPicture best(sums.front().size());
+  for (size_t h = 0; h < candidates.size(); ++h) best.add(sums[h], h);
   std::vector<PlaceCandidate> places;
-  for (const Peak& peak : best_peaks(sums, side, side, separation / index.pitch(), count)) {
+  for (const Peak& peak : best_peaks(std::move(best), side, side, separation / index.pitch(), count)) {
     const Eigen::Vector2d shift(peak.cell.column - reach, reach - peak.cell.row);
     places.push_back({centre + index.pitch() * shift, peak.picture, peak.value});
   }

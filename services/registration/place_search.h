@@ -44,8 +44,9 @@ struct EvidenceOptions {
   double limit = 16;     // the most that one point can say
 };
 
-// Likelihood of places on the coarse grid, one picture for each alignment.
+// Likelihood of places on the coarse grid as one keyframe sees it, one picture for each alignment.
 struct CoarseLikelihood {
+  std::vector<Alignment> alignments;
   int first_row = 0, first_column = 0, rows = 0, columns = 0;  // cells of the coarse grid
   std::vector<std::vector<float>> sums;                        // rows x columns each
 };
@@ -59,12 +60,13 @@ struct PlaceCandidate {
   double likelihood = 0;
 };
 
-// Adds up the likelihoods of keyframes, each shifted to where it says the newest is, and gives the best places, the
-// best first, each at least `separation` (m) from those before it.
+// Adds up the likelihoods of keyframes, the newest first, each shifted to where it says the newest is, and gives the
+// best places, the best first, each at least `separation` (m) from those before it. `candidates` refer to the newest's
+// yaw; of each keyframe the picture counts whose alignment is closest.
 struct ShiftedLikelihood {
   const CoarseLikelihood* likelihood;
   Eigen::Vector3d p_W_B;  // of its keyframe
-  double yaw;
+  double yaw;             // rad, that its alignments refer to
 };
 std::vector<PlaceCandidate> best_coarse_places(const std::vector<ShiftedLikelihood>& keyframes, const MapIndex& index,
                                                const std::vector<Alignment>& candidates, double separation, int count);

@@ -27,14 +27,21 @@ constexpr double kLargestScaleStddev = 0.1;  // that a session begins with
 constexpr int kHeadingsTried = 24;
 // What the share of points that stay aligned with the map counts, beside the likelihood ratio's share.
 constexpr double kInlierEvidence = 3;
+// Log-likelihood ratio that counts as much as a share of 1: where little ground was seen, a large share is of little.
+constexpr double kRatioEvidence = 1500;
 // Places to which matches are aligned, to compare how many stay.
 constexpr size_t kPlacesFitted = 3;
 
-// Root mean square of the points' horizontal distances from the body, m.
-double lever_of(const View& view) {
-  double sum = 0;
-  for (const ViewPoint& point : view.points) sum += (point.p_W - view.keyframe.p_W_B).head<2>().squaredNorm();
-  return std::sqrt(sum / std::max<double>(1.0, static_cast<double>(view.points.size())));
+// Half again the root mean square of the points' horizontal distances from the newest body, m.
+double lever_of(const std::vector<const View*>& views) {
+  double sum = 0, count = 0;
+  for (const View* view : views) {
+    for (const ViewPoint& point : view->points) {
+      sum += (point.p_W - views.front()->keyframe.p_W_B).head<2>().squaredNorm();
+    }
+    count += static_cast<double>(view->points.size());
+  }
+  return 1.5 * std::sqrt(sum / std::max(1.0, count));
 }
 
 }  // namespace
@@ -44,6 +51,7 @@ SubmapOptions SubmapOptions::from_config(ConfigNode& node) {
   options.query = QueryOptions::from_config(node);
   ConfigNode submap = node.child_or_empty("submap");
   submap.read("max_keyframes", options.max_keyframes, 1, 100);
+  submap.read("keyframe_spacing", options.keyframe_spacing, 0, 10);
   submap.read("pose_keyframes", options.pose_keyframes, 1, 100);
   submap.read("search_heading", options.search_heading);
   submap.read("bound_stddevs", options.bound_stddevs, 1, 100);
@@ -130,14 +138,29 @@ bool SubmapRegistrar::describe(const Keyframe& keyframe, int session, const cv::
   if (!refused_.empty()) return false;
   if (!keyframes_.empty() && keyframes_.front().size() != variants.size()) keyframes_.clear();
   keyframes_.push_front(std::move(variants));
-  if (static_cast<int>(keyframes_.size()) > options_.max_keyframes) keyframes_.pop_back();
+  thin_out();
   return true;
 }
 
-Alignment SubmapRegistrar::expected(size_t variant) const {
+void SubmapRegistrar::thin_out() {
+  const auto leaving = static_cast<size_t>(options_.pose_keyframes);  // no pose is made of it any more
+  if (keyframes_.size() > leaving) {
+    for (Variant& variant : keyframes_[leaving]) variant.view->field.reset();
+  }
+  if (keyframes_.size() > leaving + 1) {
+    const Keyframe& keyframe = keyframes_[leaving].front().view->keyframe;
+    const Keyframe& before = keyframes_[leaving + 1].front().view->keyframe;
+    const double distance = (keyframe.p_W_B - before.p_W_B).head<2>().norm();
+    if (distance < options_.keyframe_spacing * keyframe.height_above_ground) {
+      keyframes_.erase(keyframes_.begin() + options_.pose_keyframes);
+    }
+  }
+  if (static_cast<int>(keyframes_.size()) > options_.max_keyframes) keyframes_.pop_back();
+}
+
+Alignment SubmapRegistrar::expected(const View& view) const {
   if (keyframes_.front().size() > 1) return {0, fitted_scale_.value_or(1.0)};
-  const double yaw = keyframes_.front()[variant].view->yaw;
-  return {wrap_angle(fitted_yaw_.value_or(compass_yaw_) - yaw), fitted_scale_.value_or(1.0)};
+  return {wrap_angle(fitted_yaw_.value_or(compass_yaw_) - view.yaw), fitted_scale_.value_or(1.0)};
 }
 
 // A session begins with a scale that its odometry is not sure of, and says so.
@@ -146,7 +169,7 @@ double SubmapRegistrar::scale_stddev() const {
   return std::max(options_.fit.scale_stddev, std::isfinite(own) ? std::min(own, kLargestScaleStddev) : 0);
 }
 
-std::vector<Alignment> SubmapRegistrar::alignments_for(size_t variant, double step) const {
+std::vector<Alignment> SubmapRegistrar::alignments_for(const View& view, double lever, double step) const {
   const size_t num_variants = keyframes_.front().size();
   const double turn_stddev = fitted_yaw_        ? kFittedTurnStddev
                              : num_variants > 1 ? 0.5 * M_PI / static_cast<double>(num_variants)
@@ -155,7 +178,7 @@ std::vector<Alignment> SubmapRegistrar::alignments_for(size_t variant, double st
   const double own = std::isfinite(radius_) ? scale_stddev() : options_.fit.scale_stddev;
   // While the odometry itself is not sure, the scale that was fitted first may be wrong, or change.
   const double scale = fitted_scale_ && own <= options_.fit.scale_stddev ? kFittedScaleStddev : own;
-  return alignments(expected(variant), turn_stddev, scale, 1.5 * lever_of(*keyframes_.front()[variant].view), step);
+  return alignments(expected(view), turn_stddev, scale, lever, step);
 }
 
 void SubmapRegistrar::search(const std::optional<PositionPrior>& prior) {
@@ -179,22 +202,20 @@ void SubmapRegistrar::search(const std::optional<PositionPrior>& prior) {
 }
 
 void SubmapRegistrar::search_everywhere(size_t variant) {
-  const std::vector<Alignment> candidates = alignments_for(variant, 2 * index_->pitch());
-  if (candidates.size() != num_alignments_) {
-    for (Remembered& keyframe : keyframes_) {
-      for (Variant& each : keyframe) each.everywhere.reset();
-    }
-    num_alignments_ = candidates.size();
-  }
-  const double yaw = keyframes_.front()[variant].view->yaw;
+  // A keyframe's own points lie close together: it needs fewer alignments than the submap.
+  const double step = 2 * index_->pitch();
   std::vector<ShiftedLikelihood> all;
   for (Remembered& keyframe : keyframes_) {
     Variant& each = keyframe[variant];
+    const View& view = *each.view;
     if (!each.everywhere) {
-      each.everywhere = coarse_likelihood(*each.view, *index_, candidates, {}, options_.evidence);
+      each.everywhere =
+          coarse_likelihood(view, *index_, alignments_for(view, lever_of({&view}), step), {}, options_.evidence);
     }
-    all.push_back({&*each.everywhere, each.view->keyframe.p_W_B, yaw});
+    all.push_back({&*each.everywhere, view.keyframe.p_W_B, view.yaw});
   }
+  const std::vector<const View*> submap = views(variant, options_.max_keyframes);
+  const std::vector<Alignment> candidates = alignments_for(*submap.front(), lever_of(submap), step);
   compare_at_full_resolution(
       best_coarse_places(all, *index_, candidates, options_.second_distance, options_.coarse_places), candidates,
       variant);
@@ -203,14 +224,16 @@ void SubmapRegistrar::search_everywhere(size_t variant) {
 void SubmapRegistrar::search_around(const PositionPrior& prior, double radius, size_t variant) {
   const std::vector<const View*> submap = views(variant, options_.pose_keyframes);
   if (is_nearby()) {
-    const std::vector<Alignment> candidates = alignments_for(variant, 1.5 * index_->pitch());
+    const std::vector<Alignment> candidates =
+        alignments_for(*submap.front(), lever_of({submap.front()}), 1.5 * index_->pitch());
     for (const PlaceCandidate& place : best_fine_places(submap, *index_, candidates, prior.en, radius,
                                                         options_.second_distance, 2, options_.evidence)) {
       places_.push_back({place.en, candidates[place.alignment], place.likelihood, variant});
     }
     return;
   }
-  const std::vector<Alignment> candidates = alignments_for(variant, 2 * index_->pitch());
+  const std::vector<Alignment> candidates =
+      alignments_for(*submap.front(), lever_of({submap.front()}), 2 * index_->pitch());
   std::vector<CoarseLikelihood> likelihoods;
   likelihoods.reserve(submap.size());
   std::vector<ShiftedLikelihood> all;
@@ -288,16 +311,24 @@ std::vector<SubmapRegistrar::Candidate> SubmapRegistrar::fit_best_places() const
     const auto same = [&](const Candidate& other) { return is_near(other.fit.en, candidate.fit.en); };
     if (std::none_of(candidates.begin(), candidates.end(), same)) candidates.push_back(std::move(candidate));
   }
+  const double most_likely = places_.front().likelihood;
+  const auto evidence = [&](const Candidate& each) {
+    return each.place.likelihood / most_likely + kInlierEvidence * aligned_share(each);
+  };
   std::stable_sort(candidates.begin(), candidates.end(),
-                   [](const Candidate& a, const Candidate& b) { return a.fit.inliers > b.fit.inliers; });
+                   [&](const Candidate& a, const Candidate& b) { return evidence(a) > evidence(b); });
   return candidates;
 }
 
-std::string SubmapRegistrar::doubt(const Fix& fix, const Candidate& place) const {
+double SubmapRegistrar::aligned_share(const Candidate& place) const {
   size_t points = 0;
   for (const View* view : views(place.place.variant, options_.pose_keyframes)) points += view->points.size();
+  return place.fit.inliers / static_cast<double>(points);
+}
+
+std::string SubmapRegistrar::doubt(const Fix& fix, const Candidate& place) const {
   const double share = fix.log_likelihood_ratio / fix.log_likelihood;
-  const double evidence = share + kInlierEvidence * place.fit.inliers / static_cast<double>(points);
+  const double evidence = share + kInlierEvidence * aligned_share(place) + fix.log_likelihood_ratio / kRatioEvidence;
   const bool clear =
       fix.log_likelihood_ratio >= options_.min_likelihood_ratio && share >= options_.min_likelihood_share;
   if (!clear || (!is_nearby() && evidence < options_.min_evidence)) {

@@ -3,6 +3,7 @@
 // A keyframe's points are described in its own image (view.h). The place of the newest keyframe is where the points of
 // all of them, held together by the odometry, look most like the map (place_search.h): around the expected position
 // where the fusion has one, over the whole map where it has none, and over ever more of it while no place convinces.
+// Over the whole map the submap is as long as it can be: of the older keyframes those are kept that see new ground.
 // A fit of translation, turn and scale and a pose with priors follow (place_fit.h).
 //
 // A place is accepted by how much likelier it is than the best other one: what one field looks like, the next one may
@@ -28,19 +29,20 @@ namespace orthonav::registration {
 
 struct SubmapOptions {
   QueryOptions query;
-  int max_keyframes = 10;       // of a submap that is searched for everywhere
-  int pose_keyframes = 4;       // the newest of them, of which poses are made, and that are searched for nearby
-  bool search_heading = false;  // true: all headings, where nothing is known of it
-  double bound_stddevs = 4;     // the search covers so many standard deviations of the expected position
-  double min_radius = 15;       // m, and at least this
-  double widening = 1.5;        // factor of the radius for each keyframe without a fix
-  double second_distance = 15;  // m: places further from the best are other places
+  int max_keyframes = 16;         // of a submap that is searched for everywhere
+  double keyframe_spacing = 0.2;  // between those that no poses are made of, share of the height above ground
+  int pose_keyframes = 4;         // the newest of them, of which poses are made, and that are searched for nearby
+  bool search_heading = false;    // true: all headings, where nothing is known of it
+  double bound_stddevs = 4;       // the search covers so many standard deviations of the expected position
+  double min_radius = 15;         // m, and at least this
+  double widening = 1.5;          // factor of the radius for each keyframe without a fix
+  double second_distance = 15;    // m: places further from the best are other places
   // Of a fix: the log-likelihood of the best place less that of the second, in itself and as a share of the former;
   double min_likelihood_ratio = 150;
   double min_likelihood_share = 0.35;
   // and, unless the aircraft is expected there, that share plus three times the share of the points that stay when
-  // matches are aligned.
-  double min_evidence = 0.75;
+  // matches are aligned plus a 1500th of the former.
+  double min_evidence = 1.4;
   int min_inliers = 8;
   int coarse_places = 12;  // of the coarse grid that are compared at full resolution
   EvidenceOptions evidence;
@@ -92,10 +94,12 @@ class SubmapRegistrar {
     Place place;
     PlaceFit fit;
   };
+  // Leaves out of the older keyframes those that see little new ground.
+  void thin_out();
   std::vector<const View*> views(size_t variant, int count) const;
-  Alignment expected(size_t variant) const;
+  Alignment expected(const View& view) const;
   double scale_stddev() const;  // of the odometry, before the map says better
-  std::vector<Alignment> alignments_for(size_t variant, double step) const;
+  std::vector<Alignment> alignments_for(const View& view, double lever, double step) const;
   void search_everywhere(size_t variant);
   void search_around(const PositionPrior& prior, double radius, size_t variant);
   void compare_at_full_resolution(const std::vector<PlaceCandidate>& coarse, const std::vector<Alignment>& candidates,
@@ -105,7 +109,9 @@ class SubmapRegistrar {
   Alignment prior_alignment(size_t variant) const;
   // Whether the search was for a place where the aircraft is expected closely.
   bool is_nearby() const;
-  // The best different places, that with the most aligned matches first; nearby, the best one.
+  // Of the points, how many stay where they are aligned to the map.
+  double aligned_share(const Candidate& place) const;
+  // The best different places, the likeliest first by likelihood and aligned points; nearby, the best one.
   std::vector<Candidate> fit_best_places() const;
   // Why a place is not accepted; empty when it is.
   std::string doubt(const Fix& fix, const Candidate& place) const;
@@ -127,7 +133,6 @@ class SubmapRegistrar {
   int without_fix_ = 0;  // keyframes since the last fix
 
   std::string refused_;
-  size_t num_alignments_ = 0;  // of the remembered likelihoods
   std::vector<Place> places_;
   double radius_ = 0;
 };

@@ -191,6 +191,44 @@ TEST_F(SubmapTest, TheMoreKeyframesTheSurer) {
   EXPECT_EQ(add(registrar, capture, capture.heading, {}, 2).num_keyframes, 1);
 }
 
+TEST_F(SubmapTest, KeepsOfTheOlderKeyframesThoseThatSawNewGround) {
+  SubmapRegistrar registrar({}, test_camera());
+  registrar.set_map(features(), kMap);
+  const auto keyframes_after = [&](int count, double step, int session) {
+    Capture capture;
+    for (int i = 0; i < count; ++i) {
+      capture = ground_.capture({40 + step * i, -80, 60}, 1.0, 0.03, -0.04);
+      registrar.describe(capture.keyframe, session, capture.image, capture.heading);
+    }
+    registrar.search({});
+    return registrar.solve().num_keyframes;
+  };
+  EXPECT_EQ(keyframes_after(20, 0, 1), 5);  // hovering: the newest four, and one
+  // Every twelve metres one, and the newest four.
+  const int flying = keyframes_after(50, 2, 2);
+  EXPECT_GE(flying, 11);
+  EXPECT_LE(flying, 13);
+}
+
+TEST_F(SubmapTest, IsAlignedOverTheWholeLengthOfTheSubmap) {
+  std::vector<double> ratios;
+  for (const double heading_error : {0.0, 0.08}) {  // the latter moves the far end by eight metres
+    SubmapRegistrar registrar({}, test_camera());
+    registrar.set_map(features(), kMap);
+    Capture capture;
+    for (int i = 0; i < 10; ++i) {
+      capture = ground_.capture({40.0 + 11 * i, -80, 60}, 1.0, 0.03, -0.04);
+      registrar.describe(capture.keyframe, 1, capture.image, {1.0 + heading_error, 0.05});
+    }
+    registrar.search({});
+    const Fix fix = registrar.solve();
+    ASSERT_TRUE(fix.valid) << fix.reason;
+    EXPECT_LT((fix.p_G_B - capture.p_G_B).head<2>().norm(), 0.7) << heading_error;
+    ratios.push_back(fix.log_likelihood_ratio);
+  }
+  EXPECT_GT(ratios.back(), 0.5 * ratios.front());
+}
+
 TEST_F(SubmapTest, SearchesAroundTheExpectedPlaceAndWidensWhenItIsNotThere) {
   SubmapRegistrar registrar({}, test_camera());
   registrar.set_map(features(), kMap);
