@@ -14,6 +14,9 @@ constexpr int kReach = 160;       // of which there are so many on either side o
 constexpr double kMemory = 0.97;  // part of what was known that is kept from keyframe to keyframe
 constexpr int kEnoughLifts = 10;  // on the ground, to do without what was known
 
+// Half a tree's height, and how far a wood reaches: the first 43 m of a flight over one were 12 m too low.
+constexpr double kHidden = 6, kWood = 50;  // m
+
 // A lift around the level: on the ground, of a point on something as tall as houses and trees are, or wrong.
 constexpr double kOnGround = 0.62, kAbove = 0.37, kWrong = 0.01;
 constexpr double kTallest = 40;      // m
@@ -28,15 +31,18 @@ double log_density(double above_ground, double stddev) {
 
 }  // namespace
 
-void GroundLevel::add(const std::vector<double>& lifts, double height, double z_W, double lifts_per_observation) {
+void GroundLevel::add(const std::vector<double>& lifts, double height, const Eigen::Vector3d& p_W_B,
+                      double lifts_per_observation) {
   if (log_likelihoods_.empty()) {
     origin_ = median(lifts);
     log_likelihoods_.assign(2 * kReach + 1, 0.0);
   } else {
-    origin_ += z_W - z_W_;
+    const Eigen::Vector3d moved = p_W_B - p_W_B_;
+    origin_ += moved.z();
+    way_ += moved.head<2>().norm();
     for (double& log_likelihood : log_likelihoods_) log_likelihood *= kMemory;
   }
-  z_W_ = z_W;
+  p_W_B_ = p_W_B;
   // Of the odometry's depths and the map's heights.
   const double stddev = std::hypot(0.7, 0.01 * height);
   for (size_t i = 0; i < log_likelihoods_.size(); ++i) {
@@ -55,6 +61,10 @@ void GroundLevel::add(const std::vector<double>& lifts, double height, double z_
     ++count;
   }
   level_ = (sum + std::max(0, kEnoughLifts - count) * mode) / std::max(kEnoughLifts, count);
+}
+
+double GroundLevel::hidden_stddev() const {
+  return kHidden * std::exp(-0.5 * (way_ / kWood) * (way_ / kWood));
 }
 
 }  // namespace orthonav::registration

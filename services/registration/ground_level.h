@@ -10,21 +10,28 @@
 
 #include <vector>
 
+#include <Eigen/Core>
+
 namespace orthonav::registration {
 
 class GroundLevel {
  public:
-  // Adds the lifts (m, in G; at least one) of points seen from `height` m above them by the body at `z_W`, m in W;
+  // Adds the lifts (m, in G; at least one) of points seen from `height` m above them by the body at `p_W_B`, m in W;
   // `lifts_per_observation` lifts count as one.
-  void add(const std::vector<double>& lifts, double height, double z_W, double lifts_per_observation);
+  void add(const std::vector<double>& lifts, double height, const Eigen::Vector3d& p_W_B, double lifts_per_observation);
 
   // The body's height in G, m. Wants add() first.
   double level() const { return level_; }
 
+  // How far below the level the ground may still lie, m, 1 sigma: where little way was flown, all that was seen may be
+  // one wood.
+  double hidden_stddev() const;
+
  private:
-  double origin_ = 0;                    // m in G, of the middle of the levels compared
-  double z_W_ = 0;                       // m, of the body that they are levels of
-  std::vector<double> log_likelihoods_;  // of the levels
+  double origin_ = 0;                                // m in G, of the middle of the levels compared
+  Eigen::Vector3d p_W_B_ = Eigen::Vector3d::Zero();  // m, of the body that they are levels of
+  double way_ = 0;                                   // m, flown since the first
+  std::vector<double> log_likelihoods_;              // of the levels
   double level_ = 0;
 };
 

@@ -220,7 +220,7 @@ FittedPose fit_pose(const std::vector<const View*>& views, const PlaceFit& fit, 
   for (const PlacedPoint* placed : inliers) {
     lifts.push_back(placed->ground - fit.alignment.scale * (point_of(views, *placed).p_W.z() - keyframe.p_W_B.z()));
   }
-  ground.add(lifts, keyframe.height_above_ground, keyframe.p_W_B.z(),
+  ground.add(lifts, keyframe.height_above_ground, keyframe.p_W_B,
              options.matches_per_observation * static_cast<double>(views.size()));
   const double level = ground.level();
   std::vector<double> heights;  // of the map's points, m in G
@@ -301,6 +301,7 @@ FittedPose fit_pose(const std::vector<const View*>& views, const PlaceFit& fit, 
   result.scale = std::exp(log_scale);
   // What all matches err in together: a patch described at a wrong scale fits best where that scale puts it.
   result.covariance(2, 2) += std::pow(kCommonScaleStddev * mean_drop, 2);
+  result.covariance(2, 2) += ground.hidden_stddev() * ground.hidden_stddev();
   result.scale_stddev = result.scale * std::hypot(std::sqrt(covariance(6, 6)), kCommonScaleStddev);
   result.yaw = wrap_angle(newest.yaw + prior.turn + so3_log(Eigen::Quaterniond(R_G_W * R_prior.transpose())).z());
   result.yaw_stddev = std::sqrt(covariance(5, 5));

@@ -25,10 +25,14 @@ class Scene {
   std::normal_distribution<double> noise_{0, 1};
 };
 
+Eigen::Vector3d at(double z, double x = 0) {
+  return {x, 0, z};
+}
+
 TEST(GroundLevel, IsTheMeanOverBareGround) {
   Scene scene;
   GroundLevel ground;
-  ground.add(scene.lifts(400, 0, 0, kHeight), kHeight, 3, kPerObservation);
+  ground.add(scene.lifts(400, 0, 0, kHeight), kHeight, at(3), kPerObservation);
   EXPECT_NEAR(ground.level(), kHeight, 0.2);
 }
 
@@ -36,7 +40,7 @@ TEST(GroundLevel, IsTheGroundWhereMostPointsLieOnAWood) {
   for (const double tall : {8.0, 12.0, 25.0}) {
     Scene scene;
     GroundLevel ground;
-    ground.add(scene.lifts(60, 140, tall, kHeight), kHeight, 0, kPerObservation);
+    ground.add(scene.lifts(60, 140, tall, kHeight), kHeight, at(0), kPerObservation);
     EXPECT_NEAR(ground.level(), kHeight, 0.6) << tall;
   }
 }
@@ -47,18 +51,18 @@ TEST(GroundLevel, IsNotLiftedByAFewWrongPointsBelowTheGround) {
   std::vector<double> lifts = scene.lifts(150, 0, 0, kHeight);
   const std::vector<double> wrong = scene.lifts(0, 12, -20, kHeight);
   lifts.insert(lifts.end(), wrong.begin(), wrong.end());
-  ground.add(lifts, kHeight, 0, kPerObservation);
+  ground.add(lifts, kHeight, at(0), kPerObservation);
   EXPECT_NEAR(ground.level(), kHeight, 0.3);
 }
 
 TEST(GroundLevel, IsRememberedOverAClosedWoodAndMovesWithTheBody) {
   Scene scene;
   GroundLevel ground;
-  for (int i = 0; i < 20; ++i) ground.add(scene.lifts(120, 0, 0, kHeight), kHeight, 5, kPerObservation);
+  for (int i = 0; i < 20; ++i) ground.add(scene.lifts(120, 0, 0, kHeight), kHeight, at(5), kPerObservation);
   double z = 0;
   for (int i = 1; i <= 8; ++i) {
     z = 0.5 * i;
-    ground.add(scene.lifts(3, 117, 11, kHeight + z), kHeight, 5 + z, kPerObservation);
+    ground.add(scene.lifts(3, 117, 11, kHeight + z), kHeight, at(5 + z), kPerObservation);
   }
   EXPECT_NEAR(ground.level(), kHeight + z, 1.0);
 }
@@ -67,9 +71,20 @@ TEST(GroundLevel, FollowsWhenTheWoodProvesToBeTheGround) {
   // The map's height or the odometry's was wrong by 6 m: what was remembered must give way.
   Scene scene;
   GroundLevel ground;
-  for (int i = 0; i < 20; ++i) ground.add(scene.lifts(120, 0, 0, kHeight), kHeight, 0, kPerObservation);
-  for (int i = 0; i < 100; ++i) ground.add(scene.lifts(120, 0, 0, kHeight - 6), kHeight, 0, kPerObservation);
+  for (int i = 0; i < 20; ++i) ground.add(scene.lifts(120, 0, 0, kHeight), kHeight, at(0), kPerObservation);
+  for (int i = 0; i < 100; ++i) ground.add(scene.lifts(120, 0, 0, kHeight - 6), kHeight, at(0), kPerObservation);
   EXPECT_NEAR(ground.level(), kHeight - 6, 0.3);
+}
+
+TEST(GroundLevel, MayLieLowerUntilMoreThanAWoodWasSeen) {
+  Scene scene;
+  GroundLevel ground;
+  ground.add(scene.lifts(120, 0, 0, kHeight), kHeight, at(0), kPerObservation);
+  EXPECT_GT(ground.hidden_stddev(), 5);
+  for (int i = 0; i < 20; ++i) ground.add(scene.lifts(120, 0, 0, kHeight), kHeight, at(0), kPerObservation);
+  EXPECT_GT(ground.hidden_stddev(), 5) << "hovering shows nothing new";
+  for (int i = 1; i <= 20; ++i) ground.add(scene.lifts(120, 0, 0, kHeight), kHeight, at(0, 10 * i), kPerObservation);
+  EXPECT_LT(ground.hidden_stddev(), 0.1);
 }
 
 }  // namespace
