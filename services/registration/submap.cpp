@@ -27,7 +27,9 @@ constexpr double kLargestScaleStddev = 0.1;  // that a session begins with
 constexpr int kHeadingsTried = 24;
 // What the share of points that stay aligned with the map counts, beside the likelihood ratio's share.
 constexpr double kInlierEvidence = 3;
-// Log-likelihood ratio that counts as much as a share of 1: where little ground was seen, a large share is of little.
+// What that share counts in accepting a place, and the log-likelihood ratio that counts as 1: where little ground was
+// seen, a large share is of little.
+constexpr double kShareEvidence = 2;
 constexpr double kRatioEvidence = 1500;
 // Places to which matches are aligned, to compare how many stay.
 constexpr size_t kPlacesFitted = 3;
@@ -328,7 +330,8 @@ double SubmapRegistrar::aligned_share(const Candidate& place) const {
 
 std::string SubmapRegistrar::doubt(const Fix& fix, const Candidate& place) const {
   const double share = fix.log_likelihood_ratio / fix.log_likelihood;
-  const double evidence = share + kInlierEvidence * aligned_share(place) + fix.log_likelihood_ratio / kRatioEvidence;
+  const double evidence =
+      kShareEvidence * share + kInlierEvidence * aligned_share(place) + fix.log_likelihood_ratio / kRatioEvidence;
   const bool clear =
       fix.log_likelihood_ratio >= options_.min_likelihood_ratio && share >= options_.min_likelihood_share;
   if (!clear || (!is_nearby() && evidence < options_.min_evidence)) {

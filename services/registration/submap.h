@@ -40,9 +40,9 @@ struct SubmapOptions {
   // Of a fix: the log-likelihood of the best place less that of the second, in itself and as a share of the former;
   double min_likelihood_ratio = 150;
   double min_likelihood_share = 0.35;
-  // and, unless the aircraft is expected there, that share plus three times the share of the points that stay when
-  // matches are aligned plus a 1500th of the former.
-  double min_evidence = 1.4;
+  // and, unless the aircraft is expected there, twice that share plus three times the share of the points that stay
+  // when matches are aligned plus a 1500th of the former.
+  double min_evidence = 1.9;
   int min_inliers = 8;
   int coarse_places = 12;  // of the coarse grid that are compared at full resolution
   EvidenceOptions evidence;
