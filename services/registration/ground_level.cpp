@@ -14,8 +14,10 @@ constexpr int kReach = 160;       // of which there are so many on either side o
 constexpr double kMemory = 0.97;  // part of what was known that is kept from keyframe to keyframe
 constexpr int kEnoughLifts = 10;  // on the ground, to do without what was known
 
-// Half a tree's height, and how far a wood reaches: the first 43 m of a flight over one were 12 m too low.
-constexpr double kHidden = 6, kWood = 50;  // m
+// How tall trees are, and how far a wood reaches: the first 43 m of a flight over one were 12 m too low.
+constexpr double kHidden = 12, kWood = 50;  // m
+constexpr double kSeenAtOnce =
+    0.2;  // of the height: what lies between two keyframes that are further apart was not seen
 
 // A lift around the level: on the ground, of a point on something as tall as houses and trees are, or wrong.
 constexpr double kOnGround = 0.62, kAbove = 0.37, kWrong = 0.01;
@@ -39,7 +41,7 @@ void GroundLevel::add(const std::vector<double>& lifts, double height, const Eig
   } else {
     const Eigen::Vector3d moved = p_W_B - p_W_B_;
     origin_ += moved.z();
-    way_ += moved.head<2>().norm();
+    way_ += std::min(moved.head<2>().norm(), kSeenAtOnce * height);
     for (double& log_likelihood : log_likelihoods_) log_likelihood *= kMemory;
   }
   p_W_B_ = p_W_B;

@@ -30,7 +30,7 @@ class GroundLevel {
  private:
   double origin_ = 0;                                // m in G, of the middle of the levels compared
   Eigen::Vector3d p_W_B_ = Eigen::Vector3d::Zero();  // m, of the body that they are levels of
-  double way_ = 0;                                   // m, flown since the first
+  double way_ = 0;                                   // m, flown since the first, as far as it was seen
   std::vector<double> log_likelihoods_;              // of the levels
   double level_ = 0;
 };

@@ -31,6 +31,8 @@ constexpr double kInlierEvidence = 3;
 // seen, a large share is of little.
 constexpr double kShareEvidence = 2;
 constexpr double kRatioEvidence = 1500;
+// A place also stands out when so many times more points align there than at the second, and this likelihood share.
+constexpr double kStandsOut = 2.5, kStandsOutShare = 0.2;
 // Places to which matches are aligned, to compare how many stay.
 constexpr size_t kPlacesFitted = 3;
 
@@ -63,6 +65,7 @@ SubmapOptions SubmapOptions::from_config(ConfigNode& node) {
   submap.read("min_likelihood_ratio", options.min_likelihood_ratio, 0, 1e9);
   submap.read("min_likelihood_share", options.min_likelihood_share, 0, 1);
   submap.read("min_evidence", options.min_evidence, 0, 10);
+  submap.read("min_aligned_share", options.min_aligned_share, 0, 1);
   submap.read("min_inliers", options.min_inliers, 6, 10000);
   submap.read("scale_stddev", options.fit.scale_stddev, 1e-4, 1);
   double tilt_stddev_deg = options.fit.tilt_stddev / kRadian;
@@ -334,7 +337,10 @@ std::string SubmapRegistrar::doubt(const Fix& fix, const Candidate& place) const
       kShareEvidence * share + kInlierEvidence * aligned_share(place) + fix.log_likelihood_ratio / kRatioEvidence;
   const bool clear =
       fix.log_likelihood_ratio >= options_.min_likelihood_ratio && share >= options_.min_likelihood_share;
-  if (!clear || (!is_nearby() && evidence < options_.min_evidence)) {
+  const bool stands_out = !is_nearby() && fix.log_likelihood_ratio >= options_.min_likelihood_ratio &&
+                          share >= kStandsOutShare && fix.num_inliers >= kStandsOut * fix.num_second_inliers &&
+                          aligned_share(place) >= options_.min_aligned_share;
+  if (!stands_out && (!clear || (!is_nearby() && evidence < options_.min_evidence))) {
     return fmt::format("another place is nearly as likely: log-likelihood ratio {:.0f} of {:.0f}, evidence {:.2f}",
                        fix.log_likelihood_ratio, fix.log_likelihood, evidence);
   }

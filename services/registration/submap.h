@@ -43,6 +43,8 @@ struct SubmapOptions {
   // and, unless the aircraft is expected there, twice that share plus three times the share of the points that stay
   // when matches are aligned plus a 1500th of the former.
   double min_evidence = 1.9;
+  // Or, with a likelihood share of 0.2, 2.5 times as many points stay as at the second place, and this share of all.
+  double min_aligned_share = 0.165;
   int min_inliers = 8;
   int coarse_places = 12;  // of the coarse grid that are compared at full resolution
   EvidenceOptions evidence;
