@@ -9,15 +9,15 @@
 namespace orthonav::registration {
 namespace {
 
-constexpr double kStep = 0.25;    // m between the levels compared,
-constexpr int kReach = 160;       // of which there are so many on either side of the first
-constexpr double kMemory = 0.97;  // part of what was known that is kept from keyframe to keyframe
+constexpr double kStep = 0.25;  // m between the levels compared,
+constexpr int kReach = 160;     // of which there are so many on either side of the first
+// Of the height: the way over which what was known is forgotten, and that at which a keyframe sees ground that the one
+// before did not; what lies between keyframes that are further apart was not seen.
+constexpr double kMemory = 1.5, kSeenAtOnce = 0.2;
 constexpr int kEnoughLifts = 10;  // on the ground, to do without what was known
 
 // How tall trees are, and how far a wood reaches: the first 43 m of a flight over one were 12 m too low.
 constexpr double kHidden = 12, kWood = 50;  // m
-constexpr double kSeenAtOnce =
-    0.2;  // of the height: what lies between two keyframes that are further apart was not seen
 
 // A lift around the level: on the ground, of a point on something as tall as houses and trees are, or wrong.
 constexpr double kOnGround = 0.62, kAbove = 0.37, kWrong = 0.01;
@@ -40,9 +40,13 @@ void GroundLevel::add(const std::vector<double>& lifts, double height, const Eig
     log_likelihoods_.assign(2 * kReach + 1, 0.0);
   } else {
     const Eigen::Vector3d moved = p_W_B - p_W_B_;
+    const double step = moved.head<2>().norm();
+    const double seen = std::min(step, kSeenAtOnce * height);
     origin_ += moved.z();
-    way_ += std::min(moved.head<2>().norm(), kSeenAtOnce * height);
-    for (double& log_likelihood : log_likelihoods_) log_likelihood *= kMemory;
+    way_ += seen;
+    // Keyframes side by side see the same trees.
+    lifts_per_observation *= kSeenAtOnce * height / std::max(seen, 1e-3 * height);
+    for (double& log_likelihood : log_likelihoods_) log_likelihood *= std::exp(-step / (kMemory * height));
   }
   p_W_B_ = p_W_B;
   // Of the odometry's depths and the map's heights.

@@ -56,23 +56,34 @@ TEST(GroundLevel, IsNotLiftedByAFewWrongPointsBelowTheGround) {
 }
 
 TEST(GroundLevel, IsRememberedOverAClosedWoodAndMovesWithTheBody) {
+  constexpr double kApart = 2.6;  // m between keyframes
   Scene scene;
   GroundLevel ground;
-  for (int i = 0; i < 20; ++i) ground.add(scene.lifts(120, 0, 0, kHeight), kHeight, at(5), kPerObservation);
+  for (int i = 0; i < 20; ++i) ground.add(scene.lifts(120, 0, 0, kHeight), kHeight, at(5, kApart * i), kPerObservation);
   double z = 0;
-  for (int i = 1; i <= 8; ++i) {
-    z = 0.5 * i;
-    ground.add(scene.lifts(3, 117, 11, kHeight + z), kHeight, at(5 + z), kPerObservation);
+  for (int i = 1; i <= 15; ++i) {
+    z = 0.25 * i;
+    ground.add(scene.lifts(3, 117, 11, kHeight + z), kHeight, at(5 + z, kApart * (20 + i)), kPerObservation);
   }
   EXPECT_NEAR(ground.level(), kHeight + z, 1.0);
+}
+
+TEST(GroundLevel, IsNotOutvotedByOneTreeSeenAgainAndAgain) {
+  Scene scene;
+  GroundLevel ground;
+  ground.add(scene.lifts(120, 0, 0, kHeight), kHeight, at(0), kPerObservation);
+  for (int i = 0; i < 100; ++i) ground.add(scene.lifts(3, 117, 11, kHeight), kHeight, at(0, 1), kPerObservation);
+  EXPECT_NEAR(ground.level(), kHeight, 1.0);
 }
 
 TEST(GroundLevel, FollowsWhenTheWoodProvesToBeTheGround) {
   // The map's height or the odometry's was wrong by 6 m: what was remembered must give way.
   Scene scene;
   GroundLevel ground;
-  for (int i = 0; i < 20; ++i) ground.add(scene.lifts(120, 0, 0, kHeight), kHeight, at(0), kPerObservation);
-  for (int i = 0; i < 100; ++i) ground.add(scene.lifts(120, 0, 0, kHeight - 6), kHeight, at(0), kPerObservation);
+  for (int i = 0; i < 20; ++i) ground.add(scene.lifts(120, 0, 0, kHeight), kHeight, at(0, 3 * i), kPerObservation);
+  for (int i = 0; i < 100; ++i) {
+    ground.add(scene.lifts(120, 0, 0, kHeight - 6), kHeight, at(0, 60 + 3 * i), kPerObservation);
+  }
   EXPECT_NEAR(ground.level(), kHeight - 6, 0.3);
 }
 
