@@ -135,8 +135,8 @@ TEST(Estimator, NoisyFlightHoldsScaleAndItsKeyframesCarryFeatures) {
   }
 }
 
-// Errors of the motion between keyframes, over their own covariance: about one per degree of freedom.
-// Normalised error squared per dimension of the motion between keyframes, from keyframe `first` on, over four flights.
+// Normalised error squared per dimension of the motion between keyframes, from keyframe `first` on, over four flights:
+// about one where the covariance is honest.
 double nees_of_motion(double imu_times, size_t first) {
   const Trajectory trajectory = survey_flight(110, 2.6);
   double sum = 0;
