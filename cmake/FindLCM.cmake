@@ -5,7 +5,8 @@
 #   lcm_add_cpp_types(TARGET PACKAGE pkg FILES a.lcm b.lcm ...)
 #
 # which makes TARGET an interface library that carries the generated C++ headers
-# <pkg>/a.hpp, <pkg>/b.hpp, ... A file may define one type, named like the file.
+# <pkg>/a.hpp, <pkg>/b.hpp, ..., whose decoders check lengths (BoundDecoder.cmake). A file may define one type, named
+# like the file.
 
 find_path(LCM_INCLUDE_DIR NAMES lcm/lcm-cpp.hpp)
 find_library(LCM_LIBRARY NAMES lcm)
@@ -33,7 +34,8 @@ function(lcm_add_cpp_types target)
     add_custom_command(
       OUTPUT ${header}
       COMMAND ${LCM_GEN_EXECUTABLE} --cpp --cpp-hpath ${out} ${CMAKE_CURRENT_SOURCE_DIR}/${file}
-      DEPENDS ${CMAKE_CURRENT_SOURCE_DIR}/${file}
+      COMMAND ${CMAKE_COMMAND} -D HEADER=${header} -P ${CMAKE_SOURCE_DIR}/cmake/BoundDecoder.cmake
+      DEPENDS ${CMAKE_CURRENT_SOURCE_DIR}/${file} ${CMAKE_SOURCE_DIR}/cmake/BoundDecoder.cmake
       COMMENT "lcm-gen ${file}"
       VERBATIM)
     list(APPEND headers ${header})

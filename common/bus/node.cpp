@@ -431,6 +431,7 @@ void Node::Impl::measure(int64_t time) {
 }
 
 void Node::publish_health() {
+  if (!impl_->options.heartbeat) return;
   Health& health = impl_->health;
   const int64_t time = now();
   if (live()) impl_->measure(time);

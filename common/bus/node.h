@@ -29,6 +29,7 @@
 #include "orthonav/health_t.hpp"
 #include "orthonav/map_tile_request_t.hpp"
 #include "orthonav/map_tile_t.hpp"
+#include "orthonav/vio_reset_t.hpp"
 
 namespace orthonav {
 
@@ -37,6 +38,7 @@ struct NodeOptions {
   std::string lcm_url = "";              // empty: LCM_DEFAULT_URL, else udpm://239.255.76.67:7667?ttl=0
   int receive_buffer = 4 * 1024 * 1024;  // bytes asked of the kernel (SO_RCVBUF) unless the URL says otherwise
   std::string key_file = "";             // of the authenticated mode (seal.h); empty: ORTHONAV_BUS_KEY, else none
+  bool heartbeat = true;                 // a program that does its work and ends has none
 };
 
 // The URL a node with these options joins: with the default bus and the receive buffer filled in.
@@ -132,10 +134,11 @@ class Node {
   Health& health();
 
  private:
-  // Parts of a map come when they are asked for, with long pauses between; all else is a stream.
+  // Requests and parts of a map come with long pauses between; all else is a stream.
   template <class Msg>
   static constexpr int64_t proof_of() {
-    constexpr bool asked_for = std::is_same_v<Msg, map_tile_t> || std::is_same_v<Msg, map_tile_request_t>;
+    constexpr bool asked_for = std::is_same_v<Msg, map_tile_t> || std::is_same_v<Msg, map_tile_request_t> ||
+                               std::is_same_v<Msg, vio_reset_t>;
     return asked_for ? 0 : 2'000'000;
   }
   enum class Handled { kYes, kUndecodable, kFromAnotherTime };

@@ -169,7 +169,7 @@ void ConfigNode::read_path(const std::string& key, std::filesystem::path& value)
 void ConfigNode::finish() const {
   for (const Layer& layer : impl_->layers) {
     for (const auto& entry : layer.node) {
-      const auto key = entry.first.as<std::string>();
+      const auto key = entry.first.as<std::string>(std::string());
       if (impl_->known.count(key) != 0) continue;
       throw ConfigError(fmt::format("{}: unknown key '{}{}'; known here: {}", where(layer, entry.first), impl_->path,
                                     key, fmt::join(impl_->known, ", ")));

@@ -45,6 +45,7 @@ void Estimator::reset() {
   error_time_ = 0;
   sunk_time_ = 0;
   tried_utime_ = 0;
+  start_due_ = false;
   seen_utime_ = 0;
   last_frame_utime_ = 0;
   next_frame_id_ = 0;
@@ -72,6 +73,7 @@ Estimator::Status Estimator::process(int64_t utime, const std::vector<TrackedFea
   published_.reset();
   outliers_.clear();
   rescaled_ = false;
+  start_due_ = false;
   if (frames_.size() > 1 && !frames_.back()->keyframe) {
     std::unique_ptr<Preintegration> kept = std::move(frames_.back()->imu);
     const StateValues propagated_from = frames_.back()->state;
@@ -107,6 +109,7 @@ Estimator::Status Estimator::process(int64_t utime, const std::vector<TrackedFea
   // Standstill over a second, seen to half a pixel: so fast it may still drift.
   if (still_) newest.still_sigma = 0.01 + (height_ > 0 ? 0.5 * height_ / focal_ : 0);
   choose_keyframe();
+  if (next_keyframe_id_ == 0) newest.keyframe = true;
   triangulate();
   choose_height_landmark(newest);
   if (newest.keyframe) take_hint();

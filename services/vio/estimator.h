@@ -116,6 +116,12 @@ class Estimator {
   Status process(int64_t utime, const std::vector<TrackedFeature>& features, const std::vector<ImuSample>& imu,
                  const std::optional<HeightMeasurement>& height = std::nullopt);
 
+  // Whether the last frame makes a start worth trying: before the next frame the caller calls try_start(). It takes as
+  // long as ten frames and more, so it may be called on a thread of its own, with nothing else of this object touched
+  // until it returns. After a success status() is kTracking, and the next frame is the session's first keyframe.
+  bool start_due() const { return start_due_; }
+  void try_start();
+
   // The true lengths of the newest stretch over those published are `ratio` to `stddev` (relative), somebody knows:
   // a factor on the window's length. Ignored before a start, and where it is not a sensible number.
   void hint_scale(double ratio, double stddev);
@@ -192,7 +198,7 @@ class Estimator {
   // estimator_start.cpp
   void collect_for_start();
   void thin_out();
-  bool try_start();
+  bool solve_start();
   bool fits_better_at_another_scale(double cost);
   void start_prior(const SharedValues& shared, double gyro_sigma);
   double scale_sigma(const NormalEquations& equations) const;
@@ -231,7 +237,8 @@ class Estimator {
   Eigen::Vector3d still_gyro_ = Eigen::Vector3d::Zero();  // rad/s, mean of the last second
   int64_t next_frame_id_ = 0;
   int next_keyframe_id_ = 0;
-  int64_t tried_utime_ = 0;                        // when a start was last tried
+  int64_t tried_utime_ = 0;                        // when a start was last due
+  bool start_due_ = false;
   int64_t seen_utime_ = 0;                         // when enough landmarks were last in view
   int64_t last_frame_utime_ = 0;                   // of the last frame that was judged; 0: none since the reset
   double pixel_sigma_ = 0;                         // pixels, 1 sigma of a tracked feature, as measured

@@ -74,18 +74,24 @@ void Estimator::collect_for_start() {
   if (!newest.keyframe && !due) return;
   tried_utime_ = newest.utime;
   if (newest.keyframe && static_cast<int>(frames_.size()) > options_.window) thin_out();
-  if (try_start()) {
-    newest.keyframe = true;
-    status_ = Status::kTracking;
-    reason_.clear();
-    seen_utime_ = newest.utime;
-    gyro_bias_ = newest.state.bg();
-    gyro_bias_known_ = true;
-    for (const auto& frame : frames_) frame->at_start = frame->state.p();
-    update_height();
-    follow_published();
-    publish_keyframe();
+  const double span = 1e-6 * static_cast<double>(newest.utime - frames_.front()->utime);
+  if (span < options_.init_min_time || frames_.size() < 4) {
+    reason_ = "collecting motion";
+    return;
   }
+  start_due_ = true;
+}
+
+void Estimator::try_start() {
+  start_due_ = false;
+  if (!solve_start()) return;
+  status_ = Status::kTracking;
+  reason_.clear();
+  const Frame& newest = *frames_.back();
+  seen_utime_ = newest.utime;
+  gyro_bias_ = newest.state.bg();
+  gyro_bias_known_ = true;
+  for (const auto& frame : frames_) frame->at_start = frame->state.p();
 }
 
 void Estimator::thin_out() {
@@ -117,12 +123,7 @@ void Estimator::thin_out() {
   frames_.erase(frames_.begin() + static_cast<std::ptrdiff_t>(leaving));
 }
 
-bool Estimator::try_start() {
-  const double span = 1e-6 * static_cast<double>(frames_.back()->utime - frames_.front()->utime);
-  if (span < options_.init_min_time || frames_.size() < 4) {
-    reason_ = "collecting motion";
-    return false;
-  }
+bool Estimator::solve_start() {
   const SharedValues before = shared_.state;
   const auto give_up = [&](const std::string& why) {
     reason_ = why;

@@ -14,6 +14,7 @@ constexpr size_t kMostPendingImages = 20;     // 2 s without IMU: older ones wil
 constexpr int64_t kProvenAfter = 20'000'000;  // microseconds of flight
 constexpr int64_t kStampProof = 500'000;      // microseconds, in which stamps prove themselves against others
 constexpr int64_t kLongestPause = 2'000'000;  // microseconds, of camera and altimeter, after which they have to
+constexpr int64_t kResetPause = 5'000'000;    // microseconds between resets that are asked for
 constexpr int64_t kStepBack = 200'000;        // microseconds: more than the time offset may move
 
 ImuSample interpolate(const ImuSample& a, const ImuSample& b, int64_t utime) {
@@ -105,7 +106,20 @@ std::optional<HeightMeasurement> Vio::height_at(int64_t utime) const {
 
 void Vio::hint_scale(double ratio, double stddev) {
   ++counters_["hints"];
+  if (start_.valid()) start_.get();
   estimator_.hint_scale(ratio, stddev);
+}
+
+bool Vio::reset(const std::string& reason) {
+  if (start_.valid()) start_.get();
+  if (reset_at_ != 0 && std::abs(last_state_ - reset_at_) < kResetPause) {
+    ++counters_["reset.rejected.too_soon"];
+    return false;
+  }
+  ++counters_["resets"];
+  reset_at_ = last_state_;
+  restart(reason);
+  return true;
 }
 
 const std::vector<TrackedFeature>& Vio::with_row_delays(const std::vector<TrackedFeature>& features) {
@@ -168,6 +182,7 @@ void Vio::restart(const std::string& reason) {
 
 std::optional<VioOutput> Vio::next() {
   while (!images_.empty()) {
+    if (start_.valid()) start_.get();
     const auto offset = static_cast<int64_t>(std::llround(1e6 * estimator_.time_offset()));
     const PendingImage image = images_.front();
     if (last_state_ - (image.utime + offset) > kStepBack) {
@@ -248,6 +263,9 @@ std::optional<VioOutput> Vio::next() {
       if (output.keyframe) output.keyframe->utime = image.utime;
       tracker_.drop(estimator_.outliers());
     }
+    // Frames keep their pace: a start is solved by the time of the next image, whatever the machine, so that a
+    // replay repeats the flight.
+    if (estimator_.start_due()) start_ = std::async(std::launch::async, [this] { estimator_.try_start(); });
     return output;
   }
   return std::nullopt;

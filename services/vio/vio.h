@@ -14,6 +14,7 @@
 
 #include <cstdint>
 #include <deque>
+#include <future>
 #include <map>
 #include <optional>
 #include <string>
@@ -45,6 +46,8 @@ struct VioOutput {
 class Vio {
  public:
   Vio(const VioOptions& options, const CameraModel& camera, const Extrinsics& extrinsics);
+  Vio(const Vio&) = delete;
+  Vio& operator=(const Vio&) = delete;
 
   // Samples must be finite, plausible and in time order; others are counted and ignored. A stamp that is ahead of the
   // others does not outlive the half second in which they go on without it.
@@ -60,6 +63,10 @@ class Vio {
 
   // True lengths over published ones, as the map sees them; see Estimator::hint_scale.
   void hint_scale(double ratio, double stddev);
+
+  // Ends the session, or what is collected for its start, for a reason shown in the outputs until the next one begins.
+  // False, counted and without effect within 5 s of the last one: requests that repeat must not keep it from starting.
+  bool reset(const std::string& reason);
 
   // Processes the next image that the IMU reaches beyond; nullopt when there is none.
   std::optional<VioOutput> next();
@@ -102,7 +109,10 @@ class Vio {
   int64_t last_state_ = 0;  // the time of the newest state, by the IMU's clock; 0: none yet
   int session_ = 0;         // 0: before the first image
   std::string restart_reason_;
+  int64_t reset_at_ = 0;  // last_state_ when a reset was last asked for
   std::map<std::string, double> counters_;
+  // A start being solved while the next image is on its way. Last, so that it ends before what it works on.
+  std::future<void> start_;
 };
 
 }  // namespace orthonav::vio

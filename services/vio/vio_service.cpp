@@ -1,6 +1,7 @@
 #include "services/vio/vio_service.h"
 
 #include <algorithm>
+#include <cctype>
 #include <cmath>
 #include <limits>
 
@@ -49,6 +50,8 @@ VioService::VioService(Node& node, const VioSetup& setup)
   node_.subscribe<altitude_t>(channel::kAltitude, Delivery::kAll, [this](const altitude_t& message) {
     vio_.feed_altitude(message.utime, message.height_above_ground, message.stddev);
   });
+  node_.subscribe<vio_reset_t>(channel::kVioReset, Delivery::kAll,
+                               [this](const vio_reset_t& message) { on_reset(message); });
   if (setup_.options.fusion_hint) {
     node_.subscribe<nav_state_t>(channel::kNavState, Delivery::kAll,
                                  [this](const nav_state_t& message) { on_nav(message); });
@@ -81,6 +84,14 @@ void VioService::on_nav(const nav_state_t& message) {
   const auto hint = hinter_.add_fused(message.utime, message.session, message.mode == nav_state_t::MAP_AIDED,
                                       message.reset_counter, Eigen::Map<const Eigen::Vector3d>(message.p_G_B), stddev);
   if (hint) vio_.hint_scale(hint->ratio, hint->stddev);
+}
+
+void VioService::on_reset(const vio_reset_t& message) {
+  constexpr size_t kLongestReason = 100;
+  std::string reason = message.reason.substr(0, kLongestReason);
+  std::replace_if(reason.begin(), reason.end(), [](unsigned char c) { return std::iscntrl(c) != 0; }, ' ');
+  vio_.reset("asked for by " + reason);
+  report_rejects();
 }
 
 void VioService::drain() {

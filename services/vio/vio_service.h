@@ -1,4 +1,4 @@
-// vio on the bus: IMU and CAMERA in, VIO_STATE and VIO_KEYFRAME out.
+// vio on the bus: IMU, CAMERA, ALTITUDE and VIO_RESET in, VIO_STATE and VIO_KEYFRAME out.
 #pragma once
 
 #include <filesystem>
@@ -10,6 +10,7 @@
 #include "orthonav/image_t.hpp"
 #include "orthonav/imu_t.hpp"
 #include "orthonav/nav_state_t.hpp"
+#include "orthonav/vio_reset_t.hpp"
 #include "services/vio/scale_hint.h"
 #include "services/vio/vio.h"
 
@@ -27,6 +28,7 @@ class VioService final : public Service {
   void on_imu(const imu_t& message);
   void on_image(const image_t& message);
   void on_nav(const nav_state_t& message);
+  void on_reset(const vio_reset_t& message);
   void drain();
   void publish_state(const VioOutput& output, double processing_ms);
   void publish_keyframe(const VioOutput& output);

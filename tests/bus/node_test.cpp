@@ -10,6 +10,7 @@
 #include "orthonav/compass_t.hpp"
 #include "orthonav/image_t.hpp"
 #include "orthonav/imu_t.hpp"
+#include "orthonav/vio_keyframe_t.hpp"
 #include "tests/support/bus_client.h"
 
 namespace orthonav {
@@ -22,6 +23,43 @@ imu_t imu_at(int64_t utime) {
   imu_t imu{};
   imu.utime = utime;
   return imu;
+}
+
+// ---- decoders ------------------------------------------------------------------------------------------------------
+
+template <class Msg>
+std::vector<uint8_t> encoded(const Msg& message) {
+  std::vector<uint8_t> bytes(static_cast<size_t>(message.getEncodedSize()));
+  message.encode(bytes.data(), 0, static_cast<int>(bytes.size()));
+  return bytes;
+}
+
+template <class Msg>
+bool decodes(const std::vector<uint8_t>& bytes, Msg& message) {
+  return message.decode(bytes.data(), 0, static_cast<int>(bytes.size())) >= 0;
+}
+
+TEST(Decoders, BelieveNoLengthThatTheMessageHasNoBytesFor) {
+  const vio_keyframe_t none{};
+  auto bytes = encoded(none);
+  vio_keyframe_t keyframe{};
+  ASSERT_TRUE(decodes(bytes, keyframe));
+  uint8_t* num_features = bytes.data() + bytes.size() - 12;  // followed by scale_stddev
+  for (const int count : {-1, 9, 1 << 30}) {
+    for (int k = 0; k < 4; ++k) num_features[k] = static_cast<uint8_t>(static_cast<uint32_t>(count) >> (24 - 8 * k));
+    keyframe = {};
+    EXPECT_FALSE(decodes(bytes, keyframe)) << count;
+    EXPECT_EQ(keyframe.features.capacity(), 0u) << count;
+  }
+}
+
+TEST(Decoders, RefuseAStringOfNegativeLength) {
+  const map_tile_t empty{};
+  auto bytes = encoded(empty);
+  map_tile_t tile{};
+  ASSERT_TRUE(decodes(bytes, tile));
+  for (int k = 16; k < 20; ++k) bytes[static_cast<size_t>(k)] = 0xff;  // of the fingerprint, behind hash and utime
+  EXPECT_FALSE(decodes(bytes, tile));
 }
 
 // ---- replayed -------------------------------------------------------------------------------------------------------

@@ -92,6 +92,14 @@ TEST_F(ConfigFiles, MisspeltKeyInTheBaseNamesTheBase) {
   EXPECT_THAT(error_of([&] { node.finish(); }), HasSubstr("base/a.yaml:2"));
 }
 
+TEST_F(ConfigFiles, AKeyThatIsNoWordIsAnErrorLikeAMisspeltOne) {
+  write("a.yaml", "good: 1\n? [a, b]\n: 2\n");
+  auto node = ConfigNode::load(folder_ / "a.yaml");
+  int good = 0;
+  node.read("good", good);
+  EXPECT_THAT(error_of([&] { node.finish(); }), HasSubstr("a.yaml:2"));
+}
+
 TEST_F(ConfigFiles, CircularExtendsIsAnError) {
   write("a.yaml", "extends: b.yaml\n");
   write("b.yaml", "extends: a.yaml\n");

@@ -18,6 +18,7 @@
 #include "orthonav/nav_state_t.hpp"
 #include "orthonav/truth_t.hpp"
 #include "orthonav/vio_keyframe_t.hpp"
+#include "orthonav/vio_reset_t.hpp"
 #include "orthonav/vio_state_t.hpp"
 #include "services/ingest/validator.h"
 #include "services/registration/keyframe_message.h"
@@ -109,7 +110,8 @@ extern "C" int LLVMFuzzerTestOneInput(const uint8_t* data, size_t size) {
                                    only_decode<map_tile_request_t>,
                                    only_decode<map_fix_t>,
                                    only_decode<nav_state_t>,
-                                   only_decode<health_t>};
+                                   only_decode<health_t>,
+                                   only_decode<vio_reset_t>};
   kTypes[data[0] % std::size(kTypes)](data + 1, size - 1);
   return 0;
 }

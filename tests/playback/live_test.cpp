@@ -85,6 +85,28 @@ TEST_F(LiveFlight, AServiceKilledInFlightComesBackAndTheOthersStay) {
   }
 }
 
+TEST_F(LiveFlight, TheOdometryBeginsAnewOnRequest) {
+  lcm::LCM bus;
+  ASSERT_TRUE(bus.good());
+  Collector<vio_state_t> states(bus, channel::kVioState);
+  auto vio = start("vio");
+  auto ingest = start("ingest", {"--log", test::flight_log(), "--wait-for", "vio"});
+  const auto flies = [&] {
+    return !states.messages.empty() && states.messages.back().status == vio_state_t::TRACKING;
+  };
+  ASSERT_TRUE(handle_until(bus, flies, 40s));
+  const int32_t session = states.messages.back().session;
+  ChildProcess reset({test::program("orthonav-reset"), "--reason", "a test"}, test::flight_folder() / "reset.txt");
+  EXPECT_TRUE(handle_until(
+      bus, [&] { return flies() && states.messages.back().session == session + 1; }, 20s));
+  EXPECT_EQ(reset.wait_exit(5s), 0);
+  // Nobody is asked: the program says so.
+  vio->signal(SIGTERM);
+  EXPECT_EQ(vio->wait_exit(10s), 0);
+  ChildProcess unheard({test::program("orthonav-reset")}, test::flight_folder() / "reset.txt");
+  EXPECT_EQ(unheard.wait_exit(10s), 2);
+}
+
 TEST_F(LiveFlight, AMisspeltKeyEndsAServiceWithFileAndLine) {
   const fs::path folder = fs::path(testing::TempDir()) / "misspelt";
   fs::create_directories(folder);

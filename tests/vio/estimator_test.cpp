@@ -25,7 +25,7 @@ Flown fly(const Trajectory& trajectory, const std::vector<SimulatedFrame>& frame
   Estimator estimator({}, downward_camera(), {}, test_camera().focal());
   Flown flown;
   for (const SimulatedFrame& frame : frames) {
-    const auto status = estimator.process(frame.utime, frame.features, frame.imu);
+    const auto status = process(estimator, frame);
     if (status == Estimator::Status::kFailed) {
       flown.failed = true;
       break;
@@ -111,7 +111,7 @@ TEST(Estimator, StandingStillTellsTheGyroscopesBiasAndStartsNothing) {
   SimulatedNoise noise{0.1, true, {0.02, -0.05, 0.03}, {0.03, -0.02, 0.02}};
   Estimator estimator({}, downward_camera(), {}, test_camera().focal());
   for (const SimulatedFrame& frame : simulate_frames(trajectory, 5, 0.1, noise, 3)) {
-    EXPECT_EQ(estimator.process(frame.utime, frame.features, frame.imu), Estimator::Status::kInitialising);
+    EXPECT_EQ(process(estimator, frame), Estimator::Status::kInitialising);
   }
   EXPECT_TRUE(estimator.gyro_bias_known());
   EXPECT_LT((estimator.gyro_bias() - noise.gyro_bias).norm(), 1e-3);
@@ -183,7 +183,7 @@ TEST(Estimator, LosingSightEndsTheSessionWithAReason) {
   double failed_at = -1;
   for (SimulatedFrame& frame : frames) {
     if (frame.t > 15) frame.features.clear();
-    if (estimator.process(frame.utime, frame.features, frame.imu) == Estimator::Status::kFailed) {
+    if (process(estimator, frame) == Estimator::Status::kFailed) {
       failed_at = frame.t;
       break;
     }

@@ -202,6 +202,13 @@ std::vector<SimulatedFrame> simulate_frames(const Trajectory& trajectory, double
   return frames;
 }
 
+Estimator::Status process(Estimator& estimator, const SimulatedFrame& frame,
+                          const std::optional<HeightMeasurement>& height) {
+  const auto status = estimator.process(frame.utime, frame.features, frame.imu, height);
+  if (estimator.start_due()) estimator.try_start();
+  return status;
+}
+
 TexturedGround::TexturedGround(double extent, double metres_per_pixel, unsigned seed)
     : extent_(extent), metres_per_pixel_(metres_per_pixel) {
   const int side = static_cast<int>(2 * extent / metres_per_pixel);

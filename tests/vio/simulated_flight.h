@@ -3,6 +3,7 @@
 #pragma once
 
 #include <functional>
+#include <optional>
 #include <random>
 #include <vector>
 
@@ -11,6 +12,7 @@
 #include <opencv2/core.hpp>
 
 #include "common/camera/camera_model.h"
+#include "services/vio/estimator.h"
 #include "services/vio/state.h"
 
 namespace orthonav::vio {
@@ -66,6 +68,10 @@ struct SimulatedFrame {
 std::vector<SimulatedFrame> simulate_frames(const Trajectory& trajectory, double duration, double relief,
                                             const SimulatedNoise& noise, unsigned seed,
                                             const SimulatedCamera& simulated = {});
+
+// One frame, as Vio gives it to the estimator, and the start that it may make due. Returns the frame's own status.
+Estimator::Status process(Estimator& estimator, const SimulatedFrame& frame,
+                          const std::optional<HeightMeasurement>& height = std::nullopt);
 
 // The picture of the plane z = 0 under a fixed random texture.
 class TexturedGround {

@@ -193,6 +193,34 @@ TEST_F(VioServiceTest, SpeaksTheContractOfItsMessagesAndSurvivesBadOnes) {
   EXPECT_GT(node.health().counter("rejected.imu.order"), 10);
 }
 
+TEST_F(VioServiceTest, EndsItsSessionOnRequest) {
+  Node node({"vio"}, bus_);
+  VioService service(node, folder_.path());
+  const TexturedGround ground(60, 0.06, 1);
+  const auto fly = [&](int from, int to) {
+    for (int k = from; k < to; ++k) {
+      const double t = 0.005 * k;
+      if (k % 20 == 0) {
+        const image_t picture = grey_message(t, ground.picture(flight_, t));
+        bus_.publish(channel::kCamera, &picture);
+      }
+      send_imu(t);
+    }
+  };
+  fly(0, 2400);
+  ASSERT_EQ(states_.back().status, int8_t{vio_state_t::TRACKING});
+  vio_reset_t request{};
+  request.utime = to_utime(12);
+  request.reason = "somebody\x1b[2J";
+  for (int i = 0; i < 3; ++i) bus_.publish(channel::kVioReset, &request);
+  fly(2400, 2440);
+  EXPECT_EQ(states_.back().status, int8_t{vio_state_t::INITIALISING});
+  EXPECT_EQ(states_.back().session, 1001);
+  EXPECT_NE(node.health().message().find("somebody [2J"), std::string::npos) << node.health().message();
+  EXPECT_EQ(node.health().counter("resets"), 1);
+  EXPECT_EQ(node.health().counter("rejected.reset.too_soon"), 2);
+}
+
 TEST_F(VioServiceTest, NamesAMisspeltKey) {
   write_vio("estimator: {windw: 12}\n");
   Node node({"vio"}, bus_);

@@ -108,6 +108,25 @@ TEST(Vio, RepeatsBitForBit) {
   }
 }
 
+TEST(Vio, BeginsANewSessionWhenAskedAndNotTwiceAtOnce) {
+  Vio vio = make_vio();
+  Feeder feeder;
+  feeder.run(vio, 0, 12);
+  ASSERT_EQ(feeder.outputs.back().status, Estimator::Status::kTracking);
+  const size_t before = feeder.outputs.size();
+  EXPECT_TRUE(vio.reset("a test"));
+  EXPECT_FALSE(vio.reset("a test"));
+  EXPECT_EQ(vio.counters().at("reset.rejected.too_soon"), 1);
+  feeder.run(vio, 12, 25);
+  const VioOutput& next = feeder.outputs[before];
+  EXPECT_EQ(next.status, Estimator::Status::kInitialising);
+  EXPECT_EQ(next.session, kFirstSession + 1);
+  EXPECT_NE(next.reason.find("a test"), std::string::npos) << next.reason;
+  EXPECT_EQ(feeder.outputs.back().status, Estimator::Status::kTracking);
+  EXPECT_EQ(feeder.outputs.back().session, kFirstSession + 1);
+  EXPECT_TRUE(vio.reset("a test, later"));
+}
+
 TEST(Vio, CountsAndSurvivesBadImu) {
   Vio vio = make_vio();
   Feeder feeder;
