@@ -18,6 +18,7 @@ namespace orthonav {
 namespace {
 
 constexpr GIntBig kCacheBytes = 256 << 20;  // of raster blocks, for all rasters of the process
+constexpr GIntBig kLargestBlock = 1 << 30;  // bytes of all bands: one is read as a whole, whatever the cache may hold
 
 void register_drivers() {
   static std::once_flag once;
@@ -140,6 +141,30 @@ struct Raster::Impl {
   }
 };
 
+namespace {
+
+void check_blocks(const std::filesystem::path& file, GDALDataset& dataset) {
+  const auto check = [&](GDALRasterBand& band) {
+    int width = 0, height = 0;
+    band.GetBlockSize(&width, &height);
+    const GIntBig bytes =
+        GIntBig{width} * height * GDALGetDataTypeSizeBytes(band.GetRasterDataType()) * dataset.GetRasterCount();
+    if (bytes <= kLargestBlock) return;
+    fail(file, fmt::format("is stored in blocks of {}x{} pixels, which take {} MB each: write it anew in tiles "
+                           "(gdal_translate -co TILED=YES)",
+                           width, height, bytes >> 20));
+  };
+  for (int index = 1; index <= dataset.GetRasterCount(); ++index) {
+    GDALRasterBand* band = dataset.GetRasterBand(index);
+    check(*band);
+    for (int level = 0; level < band->GetOverviewCount(); ++level) {
+      if (GDALRasterBand* overview = band->GetOverview(level)) check(*overview);
+    }
+  }
+}
+
+}  // namespace
+
 Raster::Raster(const std::filesystem::path& file) : impl_(std::make_unique<Impl>()) {
   register_drivers();
   impl_->file = file;
@@ -147,6 +172,7 @@ Raster::Raster(const std::filesystem::path& file) : impl_(std::make_unique<Impl>
   impl_->dataset.reset(GDALDataset::Open(file.c_str(), GDAL_OF_RASTER | GDAL_OF_READONLY));
   if (!impl_->dataset) fail(file, "cannot open as a raster");
   if (impl_->dataset->GetRasterCount() < 1) fail(file, "has no band");
+  check_blocks(file, *impl_->dataset);
   if (impl_->dataset->GetGeoTransform(impl_->transform) != CE_None) fail(file, "has no georeference (geotransform)");
   if (GDALInvGeoTransform(impl_->transform, impl_->inverse) == 0)
     fail(file, "has a georeference that cannot be inverted");

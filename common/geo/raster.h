@@ -20,7 +20,8 @@ namespace orthonav {
 
 class Raster {
  public:
-  // Throws std::runtime_error naming the file when it cannot be opened, has no band, no georeference or no CRS.
+  // Throws std::runtime_error naming the file when it cannot be opened, has no band, no georeference, no CRS,
+  // or blocks of more than 1 GiB.
   explicit Raster(const std::filesystem::path& file);
   ~Raster();
   Raster(Raster&&) noexcept;

@@ -107,6 +107,28 @@ TEST_F(RasterKinds, WithoutAGeoreferenceOrACoordinateSystemAreRefused) {
   EXPECT_THAT(error_of(kind), HasSubstr("map.tif"));
 }
 
+TEST_F(RasterKinds, OneBlockLargerThanMemoryShouldBeIsRefused) {
+  GDALAllRegister();
+  const auto file = folder_ / "map.tif";
+  char sparse[] = "SPARSE_OK=TRUE", strip[] = "BLOCKYSIZE=40000", packed[] = "COMPRESS=DEFLATE";
+  char* options[] = {sparse, strip, packed, nullptr};
+  GDALDataset* dataset =
+      GetGDALDriverManager()->GetDriverByName("GTiff")->Create(file.c_str(), 40000, 40000, 1, GDT_Byte, options);
+  ASSERT_NE(dataset, nullptr);
+  std::vector<double> transform = Kind().transform;
+  dataset->SetGeoTransform(transform.data());
+  OGRSpatialReference crs;
+  crs.importFromEPSG(32632);
+  dataset->SetSpatialRef(&crs);
+  GDALClose(dataset);
+  try {
+    const Raster raster(file);
+    FAIL() << "opened";
+  } catch (const std::runtime_error& error) {
+    EXPECT_THAT(error.what(), testing::AllOf(HasSubstr("map.tif"), HasSubstr("40000x40000"), HasSubstr("TILED")));
+  }
+}
+
 TEST_F(RasterKinds, AllNodataIsRefused) {
   Kind kind;
   kind.nodata = 0;

@@ -63,8 +63,12 @@ TEST_F(LiveFlight, AServiceKilledInFlightComesBackAndTheOthersStay) {
   const int32_t session = nav.messages.back().session;
   vio = start("vio");
   // A new odometry world: fusion must not tie it to the old one, and must find itself anew.
+  Collector<map_fix_t> fixes(bus, channel::kMapFix);
+  const auto found = [&] {
+    return !fixes.messages.empty() && fixes.messages.back().valid && fixes.messages.back().session != session;
+  };
   EXPECT_TRUE(handle_until(
-      bus, [&] { return aided() && nav.messages.back().session != session; }, 30s));
+      bus, [&] { return found() && aided() && nav.messages.back().session != session; }, 30s));
   EXPECT_TRUE(map_server->running());
   EXPECT_TRUE(registration->running());
   EXPECT_TRUE(fusion->running());
