@@ -137,8 +137,8 @@ class Node {
   // Requests and parts of a map come with long pauses between; all else is a stream.
   template <class Msg>
   static constexpr int64_t proof_of() {
-    constexpr bool asked_for = std::is_same_v<Msg, map_tile_t> || std::is_same_v<Msg, map_tile_request_t> ||
-                               std::is_same_v<Msg, vio_reset_t>;
+    constexpr bool asked_for =
+        std::is_same_v<Msg, map_tile_t> || std::is_same_v<Msg, map_tile_request_t> || std::is_same_v<Msg, vio_reset_t>;
     return asked_for ? 0 : 2'000'000;
   }
   enum class Handled { kYes, kUndecodable, kFromAnotherTime };

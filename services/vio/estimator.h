@@ -237,7 +237,7 @@ class Estimator {
   Eigen::Vector3d still_gyro_ = Eigen::Vector3d::Zero();  // rad/s, mean of the last second
   int64_t next_frame_id_ = 0;
   int next_keyframe_id_ = 0;
-  int64_t tried_utime_ = 0;                        // when a start was last due
+  int64_t tried_utime_ = 0;  // when a start was last due
   bool start_due_ = false;
   int64_t seen_utime_ = 0;                         // when enough landmarks were last in view
   int64_t last_frame_utime_ = 0;                   // of the last frame that was judged; 0: none since the reset

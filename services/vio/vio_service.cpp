@@ -89,7 +89,8 @@ void VioService::on_nav(const nav_state_t& message) {
 void VioService::on_reset(const vio_reset_t& message) {
   constexpr size_t kLongestReason = 100;
   std::string reason = message.reason.substr(0, kLongestReason);
-  std::replace_if(reason.begin(), reason.end(), [](unsigned char c) { return std::iscntrl(c) != 0; }, ' ');
+  std::replace_if(
+      reason.begin(), reason.end(), [](unsigned char c) { return std::iscntrl(c) != 0; }, ' ');
   vio_.reset("asked for by " + reason);
   report_rejects();
 }

@@ -110,8 +110,8 @@ TEST_F(RasterKinds, WithoutAGeoreferenceOrACoordinateSystemAreRefused) {
 TEST_F(RasterKinds, OneBlockLargerThanMemoryShouldBeIsRefused) {
   GDALAllRegister();
   const auto file = folder_ / "map.tif";
-  char sparse[] = "SPARSE_OK=TRUE", strip[] = "BLOCKYSIZE=40000", packed[] = "COMPRESS=DEFLATE";
-  char* options[] = {sparse, strip, packed, nullptr};
+  char sparse[] = "SPARSE_OK=TRUE", tiled[] = "TILED=YES", width[] = "BLOCKXSIZE=40000", height[] = "BLOCKYSIZE=40000";
+  char* options[] = {sparse, tiled, width, height, nullptr};
   GDALDataset* dataset =
       GetGDALDriverManager()->GetDriverByName("GTiff")->Create(file.c_str(), 40000, 40000, 1, GDT_Byte, options);
   ASSERT_NE(dataset, nullptr);

@@ -95,9 +95,7 @@ TEST_F(LiveFlight, TheOdometryBeginsAnewOnRequest) {
   Collector<vio_state_t> states(bus, channel::kVioState);
   auto vio = start("vio");
   auto ingest = start("ingest", {"--log", test::flight_log(), "--wait-for", "vio"});
-  const auto flies = [&] {
-    return !states.messages.empty() && states.messages.back().status == vio_state_t::TRACKING;
-  };
+  const auto flies = [&] { return !states.messages.empty() && states.messages.back().status == vio_state_t::TRACKING; };
   ASSERT_TRUE(handle_until(bus, flies, 40s));
   const int32_t session = states.messages.back().session;
   ChildProcess reset({test::program("orthonav-reset"), "--reason", "a test"}, test::flight_folder() / "reset.txt");
