@@ -20,6 +20,8 @@ class GroundLevel {
   // `lifts_per_observation` lifts count as one.
   void add(const std::vector<double>& lifts, double height, const Eigen::Vector3d& p_W_B, double lifts_per_observation);
 
+  bool known() const { return !log_likelihoods_.empty(); }  // after add()
+
   // The body's height in G, m. Wants add() first.
   double level() const { return level_; }
 

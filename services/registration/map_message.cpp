@@ -1,8 +1,27 @@
 #include "services/registration/map_message.h"
 
+#include <cmath>
 #include <vector>
 
+#include <fmt/format.h>
+
+#include "common/features/fixed_sift.h"
+
 namespace orthonav::registration {
+
+std::string problem_of(const map_info_t& info) {
+  const std::string problem = level_of(info).layout.problem();
+  if (!problem.empty()) return problem;
+  if (info.descriptor_size != kSiftBytes) return fmt::format("map has descriptors of {} bytes", info.descriptor_size);
+  const bool detected = info.keypoint_size == 0;
+  if (!(info.metres_per_pixel > 0 && std::isfinite(info.metres_per_pixel) &&
+        (detected || (info.keypoint_size >= 2 && info.keypoint_size <= 128)) && info.level >= 0 &&
+        info.level < info.num_levels && std::abs(info.anchor_latitude_deg) <= 90 &&
+        std::abs(info.anchor_longitude_deg) <= 360 && std::abs(info.anchor_height) <= 1e5)) {
+    return "map's pixel size, keypoint size, level or anchor is out of range";
+  }
+  return {};
+}
 
 MapLevel level_of(const map_info_t& info) {
   MapLevel level;

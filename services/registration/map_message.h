@@ -12,7 +12,10 @@
 
 namespace orthonav::registration {
 
-// Says nothing of whether the level is of use: MapLayout::problem does.
+// Why a map on offer is of no use to anybody; empty when it may be of some.
+std::string problem_of(const map_info_t& info);
+
+// Of an offer without a problem.
 MapLevel level_of(const map_info_t& info);
 
 TileStore::Outcome add_tile(MapClient& client, const map_tile_t& tile, int64_t utime);

@@ -309,4 +309,25 @@ FittedPose fit_pose(const std::vector<const View*>& views, const PlaceFit& fit, 
   return result;
 }
 
+GroundLevel ground_along(const std::vector<const View*>& views, const PlaceFit& fit, const MapIndex& index,
+                         const FitOptions& options) {
+  GroundLevel ground;
+  for (size_t k = views.size() - 1; k > 0; --k) {
+    const View& view = *views[k];
+    std::vector<double> lifts;
+    for (const ViewPoint& point : view.points) {
+      const Eigen::Vector2d cell =
+          index.cell(fit.en + fit.alignment.offset(views.front()->yaw, point.p_W, views.front()->keyframe.p_W_B));
+      const int feature =
+          index.feature(static_cast<int>(std::lround(cell.y())), static_cast<int>(std::lround(cell.x())));
+      if (feature < 0) continue;
+      lifts.push_back(index.position(feature).z() - fit.alignment.scale * (point.p_W.z() - view.keyframe.p_W_B.z()));
+    }
+    if (!lifts.empty()) {
+      ground.add(lifts, view.keyframe.height_above_ground, view.keyframe.p_W_B, options.matches_per_observation);
+    }
+  }
+  return ground;
+}
+
 }  // namespace orthonav::registration

@@ -120,17 +120,7 @@ void RegistrationService::handle(const compass_t& compass) {
 void RegistrationService::handle(const map_info_t& info) {
   if (info.fingerprint == problem_fingerprint_) return;
   const MapLevel level = level_of(info);
-  std::string problem = level.layout.problem();
-  if (problem.empty() && info.descriptor_size != kSiftBytes) {
-    problem = fmt::format("map has descriptors of {} bytes", info.descriptor_size);
-  }
-  const bool detected = info.keypoint_size == 0;
-  if (problem.empty() && !(info.metres_per_pixel > 0 && std::isfinite(info.metres_per_pixel) &&
-                           (detected || (info.keypoint_size >= 2 && info.keypoint_size <= 128)) && info.level >= 0 &&
-                           info.level < info.num_levels && std::isfinite(info.anchor_latitude_deg) &&
-                           std::isfinite(info.anchor_longitude_deg) && std::isfinite(info.anchor_height))) {
-    problem = "map's pixel size, keypoint size, level or anchor is out of range";
-  }
+  std::string problem = problem_of(info);
   const char* wanted = features_for(options_.registrar.method);
   if (problem.empty() && info.features != wanted) {
     problem = fmt::format("method {} needs a map with features: {} (map_server.yaml), this one has {}",

@@ -374,7 +374,11 @@ Fix SubmapRegistrar::solve() {
     break;
   }
   const PlaceFit& fit = best.fit;
-  GroundLevel ground = ground_;
+  // Fixes remember the ground; where there were none of late, the submap has to tell.
+  const bool remembered = ground_.known() && without_fix_ < options_.max_keyframes;
+  GroundLevel ground =
+      remembered ? ground_
+                 : ground_along(views(best.place.variant, options_.max_keyframes), fit, *index_, options_.fit);
   const FittedPose pose = fit.ok ? fit_pose(views(best.place.variant, options_.pose_keyframes), fit,
                                             prior_alignment(best.place.variant), fit_options(), ground)
                                  : FittedPose{};

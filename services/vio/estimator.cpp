@@ -28,6 +28,7 @@ Estimator::Estimator(const EstimatorOptions& options, const Extrinsics& extrinsi
 }
 
 void Estimator::reset() {
+  if (status_ == Status::kFailed) memory_.reset();
   status_ = Status::kInitialising;
   frames_.clear();
   landmarks_.clear();
@@ -60,6 +61,20 @@ void Estimator::reset() {
   published_.reset();
   outliers_.clear();
   rescaled_ = false;
+}
+
+bool Estimator::resume(const Memory& memory) {
+  constexpr double kHighest = 1e5, kFastest = 100;  // m, m/s
+  if (!(memory.height > 0 && memory.height < kHighest && memory.height_stddev >= 0 && memory.height_stddev < kHighest &&
+        std::abs(memory.climb) < kFastest && memory.gyro_bias.norm() < options_.max_gyro_bias &&
+        std::abs(memory.time_offset - options_.time_offset) <= options_.max_time_offset)) {
+    return false;
+  }
+  memory_ = memory;
+  gyro_bias_ = memory.gyro_bias;
+  gyro_bias_known_ = true;
+  if (options_.estimate_time_offset) shared_.state.time_offset[0] = memory.time_offset;
+  return true;
 }
 
 void Estimator::hint_scale(double ratio, double stddev) {

@@ -39,6 +39,7 @@
 
 #include "common/camera/camera_model.h"
 #include "services/vio/bearing_rates.h"
+#include "services/vio/memory.h"
 #include "services/vio/prior.h"
 #include "services/vio/state.h"
 
@@ -126,8 +127,14 @@ class Estimator {
   // a factor on the window's length. Ignored before a start, and where it is not a sensible number.
   void hint_scale(double ratio, double stddev);
 
-  // Forgets everything but the gyroscope bias and the time offset, which a restart may begin from.
+  // Forgets everything but the gyroscope's bias, the time offset and, unless it has failed, its memory.
   void reset();
+
+  // What another start may begin from; nullopt before there was a sound session.
+  const std::optional<Memory>& memory() const { return memory_; }
+  // Takes over the memory of an estimator that is no more, before the first frame. False for one of impossible numbers,
+  // which is forgotten.
+  bool resume(const Memory& memory);
 
   Status status() const { return status_; }
   const std::string& reason() const { return reason_; }  // why not yet initialised, degraded or failed
@@ -197,6 +204,7 @@ class Estimator {
 
   // estimator_start.cpp
   void collect_for_start();
+  void recall_height(Frame& frame) const;
   void thin_out();
   bool solve_start();
   bool fits_better_at_another_scale(double cost);
@@ -250,6 +258,7 @@ class Estimator {
   std::vector<ScaleHint> hints_;
   std::optional<std::pair<double, double>> new_hint_;  // ratio and its standard deviation
   bool rescaled_ = false;
+  std::optional<Memory> memory_;
   Eigen::Matrix<double, 6, 6> pose_covariance_;
   Eigen::Matrix3d velocity_covariance_;
   double scale_stddev_ = 0;

@@ -71,6 +71,9 @@ void Estimator::publish_keyframe() {
   }
 
   update_covariance(normal_equations(), keyframe);
+  if (height_ > 0 && std::isfinite(scale_stddev_)) {
+    memory_ = Memory{newest.utime, height_, height_ * scale_stddev_, newest_.v().z(), newest_.bg(), time_offset()};
+  }
   published_ = std::move(keyframe);
 }
 

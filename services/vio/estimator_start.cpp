@@ -72,6 +72,8 @@ void Estimator::collect_for_start() {
   newest.keyframe = interval > options_.init_interval - 1e-3 || parallax > options_.init_parallax;
   const bool due = 1e-6 * static_cast<double>(newest.utime - tried_utime_) > kTryInterval - 1e-3;
   if (!newest.keyframe && !due) return;
+  // Into the second frame, which stays: the ground that is measured is anchored in the first.
+  if (newest.keyframe && frames_.size() == 2 && !newest.height) recall_height(newest);
   tried_utime_ = newest.utime;
   if (newest.keyframe && static_cast<int>(frames_.size()) > options_.window) thin_out();
   const double span = 1e-6 * static_cast<double>(newest.utime - frames_.front()->utime);
@@ -92,6 +94,18 @@ void Estimator::try_start() {
   gyro_bias_ = newest.state.bg();
   gyro_bias_known_ = true;
   for (const auto& frame : frames_) frame->at_start = frame->state.p();
+}
+
+void Estimator::recall_height(Frame& frame) const {
+  constexpr double kClimb = 1.5;   // m/s, 1 sigma of how the climb changes
+  constexpr double kLongest = 10;  // s, after which nothing is left of it
+  if (!memory_) return;
+  const double elapsed = 1e-6 * static_cast<double>(frame.utime - memory_->utime);
+  if (elapsed < 0 || elapsed > kLongest) return;
+  const double height = memory_->height + memory_->climb * elapsed;
+  if (height <= 0) return;
+  const double stddev = std::hypot(memory_->height_stddev, kClimb * elapsed);
+  frame.height = HeightMeasurement{height, std::hypot(stddev, options_.altitude_relief)};
 }
 
 void Estimator::thin_out() {

@@ -68,6 +68,11 @@ class Vio {
   // False, counted and without effect within 5 s of the last one: requests that repeat must not keep it from starting.
   bool reset(const std::string& reason);
 
+  // Before the first image: goes on from what another process knew. False for a memory of impossible numbers.
+  bool resume(const Memory& memory) { return estimator_.resume(memory); }
+  // What another process may go on from; nullopt before there was a sound session. After next(), with a keyframe.
+  const std::optional<Memory>& memory() const { return estimator_.memory(); }
+
   // Processes the next image that the IMU reaches beyond; nullopt when there is none.
   std::optional<VioOutput> next();
 

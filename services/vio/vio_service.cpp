@@ -4,6 +4,7 @@
 #include <cctype>
 #include <cmath>
 #include <limits>
+#include <utility>
 
 #include <spdlog/spdlog.h>
 
@@ -37,13 +38,19 @@ void put(const Eigen::Matrix<double, 6, 6>& from, double* to) {
 
 }  // namespace
 
-VioService::VioService(Node& node, const std::filesystem::path& config) : VioService(node, load_setup(config)) {}
+VioService::VioService(Node& node, const std::filesystem::path& config, std::filesystem::path memory_file)
+    : VioService(node, load_setup(config), std::move(memory_file)) {}
 
-VioService::VioService(Node& node, const VioSetup& setup)
+VioService::VioService(Node& node, const VioSetup& setup, std::filesystem::path memory_file)
     : node_(node),
       setup_(setup),
       vio_(setup_.options, setup_.camera, setup_.extrinsics),
-      hinter_(setup_.options.hint_distance) {
+      hinter_(setup_.options.hint_distance),
+      memory_file_(std::move(memory_file)) {
+  if (!memory_file_.empty()) {
+    const auto memory = read_memory(memory_file_);
+    if (memory && vio_.resume(*memory)) node_.health().add("memory.read");
+  }
   node_.subscribe<imu_t>(channel::kImu, Delivery::kAll, [this](const imu_t& message) { on_imu(message); });
   node_.subscribe<image_t>(
       channel::kCamera, Delivery::kLatest, [this](const image_t& message) { on_image(message); }, kImageQueue);
@@ -104,10 +111,18 @@ void VioService::drain() {
       hinter_.add_odometry(output->utime, output->session, output->state.p());
     }
     publish_state(*output, watch.ms());
-    if (output->keyframe) publish_keyframe(*output);
+    if (output->keyframe) {
+      publish_keyframe(*output);
+      remember();
+    }
     update_health(*output);
   }
   report_rejects();
+}
+
+void VioService::remember() {
+  if (memory_file_.empty() || !vio_.memory()) return;
+  if (!write_memory(memory_file_, *vio_.memory())) node_.health().add("memory.not_written");
 }
 
 void VioService::publish_state(const VioOutput& output, double processing_ms) {

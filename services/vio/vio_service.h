@@ -19,10 +19,11 @@ namespace orthonav::vio {
 class VioService final : public Service {
  public:
   // Reads `config`/vio.yaml and `config`/aircraft.yaml and subscribes on `node`, which outlives the service.
+  // `memory_file` is where the service keeps what it goes on with after it was killed (memory.h); empty: nowhere.
   // Throws ConfigError.
-  VioService(Node& node, const std::filesystem::path& config);
+  VioService(Node& node, const std::filesystem::path& config, std::filesystem::path memory_file = {});
   // The same with a setup from elsewhere.
-  VioService(Node& node, const VioSetup& setup);
+  VioService(Node& node, const VioSetup& setup, std::filesystem::path memory_file = {});
 
  private:
   void on_imu(const imu_t& message);
@@ -30,6 +31,7 @@ class VioService final : public Service {
   void on_nav(const nav_state_t& message);
   void on_reset(const vio_reset_t& message);
   void drain();
+  void remember();
   void publish_state(const VioOutput& output, double processing_ms);
   void publish_keyframe(const VioOutput& output);
   void update_health(const VioOutput& output);
@@ -39,6 +41,7 @@ class VioService final : public Service {
   VioSetup setup_;
   Vio vio_;
   ScaleHinter hinter_;
+  std::filesystem::path memory_file_;
   std::map<std::string, double> reported_;  // rejects already shown in the health
   int announced_session_ = 0;
   bool was_flying_ = false;

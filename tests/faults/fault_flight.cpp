@@ -72,7 +72,7 @@ class Flight {
     start("map_server", {"--map", arguments_.map});
     start("registration");
     start("fusion", {"--memory", folder_ / "fusion.memory"});
-    start("vio");
+    start("vio", {"--memory", folder_ / "vio.memory"});
     start("ingest", {"--log", log_, "--wait-for", "map_server,registration,fusion,vio"});
   }
 

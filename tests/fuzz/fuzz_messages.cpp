@@ -78,7 +78,7 @@ void keyframe(const uint8_t* data, size_t size) {
 void map(const uint8_t* data, size_t size) {
   const size_t half = size / 2;
   map_info_t info{};
-  if (!decode(data, half, info)) return;
+  if (!decode(data, half, info) || !registration::problem_of(info).empty()) return;
   registration::MapClient client{registration::MapClientOptions{}};
   client.offer(registration::level_of(info));
   client.see(0.3);

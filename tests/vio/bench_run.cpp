@@ -138,12 +138,17 @@ int64_t feed_log(const std::filesystem::path& file, const BenchRun& run, int64_t
   LogReader reader(file);
   std::optional<EnuFrame> frame;
   int64_t first = 0, last = 0;
+  double next_reset = run.reset_every;
   while (const auto event = reader.next()) {
     if (first == 0) first = event->utime;
     const double age = 1e-6 * static_cast<double>(event->utime - first) - run.begin;
     if (age > run.duration || enough(result, run)) break;
     if (age < 0) continue;
     last = std::max(last, event->utime + later);
+    if (age > next_reset) {
+      vio.reset("vio_bench");
+      next_reset += run.reset_every;
+    }
     if (event->channel == channel::kImu) {
       if (const auto imu = event->decode<imu_t>()) {
         ImuSample sample;

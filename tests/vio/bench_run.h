@@ -29,6 +29,7 @@ struct BenchRun {
   double duration = std::numeric_limits<double>::infinity();     // s
   double after_start = std::numeric_limits<double>::infinity();  // s, to run on after the first state
   double image_noise = 0;                                        // grey levels, 1 sigma, added to the images
+  double reset_every = std::numeric_limits<double>::infinity();  // s of a flight log
   bool verbose = false;                                          // a line per keyframe
 };
 

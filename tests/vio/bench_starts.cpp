@@ -89,6 +89,13 @@ Start judge(const Result& result) {
   return start;
 }
 
+void print(const BenchInput& input, const Start& start) {
+  std::printf("%-16s at %5.1f s: took %.1f s, observable after %.1f s, scale off by %.1f %%, later %.1f %%%s %s\n",
+              input.path.filename().c_str(), start.begin, start.took, start.observable, 100 * start.scale_error,
+              100 * start.scale_later, start.restarted ? ", restarted" : "", start.reason.c_str());
+  std::fflush(stdout);
+}
+
 }  // namespace
 
 void run_starts(const BenchInput& input, const StartOptions& options, std::vector<Start>& starts) {
@@ -102,12 +109,37 @@ void run_starts(const BenchInput& input, const StartOptions& options, std::vecto
     run.image_noise = options.image_noise;
     Start start = judge(run_input(input, run));
     start.begin = run.begin;
-    std::printf("%-16s at %5.1f s: took %.1f s, observable after %.1f s, scale off by %.1f %%, later %.1f %%%s %s\n",
-                input.path.filename().c_str(), start.begin, start.took, start.observable, 100 * start.scale_error,
-                100 * start.scale_later, start.restarted ? ", restarted" : "", start.reason.c_str());
-    std::fflush(stdout);
+    print(input, start);
     starts.push_back(start);
   }
+}
+
+void run_resets(const BenchInput& input, double every, std::vector<Start>& starts) {
+  BenchRun run;
+  run.reset_every = every;
+  const Result whole = run_input(input, run);
+  // Each stretch from a reset on is judged as a flight of its own.
+  Result stretch;
+  stretch.truth = whole.truth;
+  stretch.height = whole.height;
+  const auto judged = [&] {
+    if (stretch.outputs.size() < 10 * kAfter) return;
+    Start start = judge(stretch);
+    start.begin = 1e-6 * static_cast<double>(stretch.outputs.front().utime - whole.outputs.front().utime);
+    print(input, start);
+    starts.push_back(start);
+  };
+  for (const VioOutput& output : whole.outputs) {
+    const bool ended = !stretch.outputs.empty() && stretch.outputs.back().status != Estimator::Status::kInitialising &&
+                       output.status == Estimator::Status::kInitialising;
+    if (ended) {
+      // The first one began with nothing known, as run_starts has it.
+      if (stretch.outputs.front().utime != whole.outputs.front().utime) judged();
+      stretch.outputs.clear();
+    }
+    stretch.outputs.push_back(output);
+  }
+  judged();
 }
 
 void print_summary(const std::vector<Start>& starts) {

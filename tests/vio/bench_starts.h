@@ -33,6 +33,9 @@ struct Start {
 // gyroscope's own random walk makes of four seconds.
 void run_starts(const BenchInput& input, const StartOptions& options, std::vector<Start>& starts);
 
+// The same for sessions that are ended in flight, every `every` seconds of a flight log: how soon the next one flies.
+void run_resets(const BenchInput& input, double every, std::vector<Start>& starts);
+
 // One line on all of them.
 void print_summary(const std::vector<Start>& starts);
 

@@ -176,6 +176,71 @@ TEST(Estimator, RelativeCovarianceIsHonestThoughTheImuIsFiveTimesAsNoisyAsItsDat
   RecordProperty("normalised_error_squared", std::to_string(nees));
 }
 
+// Flies until `until`, resets, and says how long the next session takes to start and how far its height is off.
+struct Restarted {
+  double took = -1, height_error = 0;
+};
+Restarted fly_and_reset(const Trajectory& trajectory, unsigned seed, double until, bool forgetful) {
+  SimulatedNoise noise{0.2, true, {0.004, -0.006, 0.003}, {0.03, -0.02, 0.02}};
+  Estimator estimator({}, downward_camera(), {}, test_camera().focal());
+  const auto frames = simulate_frames(trajectory, until + 15, 1.0, noise, seed);
+  bool ended = false;
+  for (const SimulatedFrame& frame : frames) {
+    if (!ended && frame.t > until) {
+      EXPECT_EQ(estimator.status(), Estimator::Status::kTracking);
+      ended = true;
+      if (forgetful) {
+        // Another process, without a memory.
+        Estimator other({}, downward_camera(), {}, test_camera().focal());
+        std::swap(estimator, other);
+      } else {
+        estimator.reset();
+      }
+    }
+    const auto status = process(estimator, frame);
+    if (!ended || status == Estimator::Status::kInitialising) continue;
+    return {frame.t - until, estimator.height_above_ground() / trajectory.position(frame.t).z() - 1};
+  }
+  return {};
+}
+
+TEST(Estimator, RemembersTheHeightAndStartsAgainAtOnceAndAtTheRightScale) {
+  const Trajectory trajectory = survey_flight(110, 2.6);
+  double remembered = 0, forgotten = 0;
+  for (unsigned seed = 1; seed <= 3; ++seed) {
+    const Restarted next = fly_and_reset(trajectory, seed, 20, false);
+    ASSERT_GE(next.took, 0);
+    EXPECT_LT(next.took, 2.5) << seed;
+    EXPECT_LT(std::abs(next.height_error), 0.06) << seed;
+    remembered += next.took;
+    forgotten += fly_and_reset(trajectory, seed, 20, true).took;
+  }
+  EXPECT_LT(remembered, forgotten - 1.0);
+}
+
+TEST(Estimator, DoubtsTheMemoryOfASessionThatFailedAndOfImpossibleNumbers) {
+  const Trajectory trajectory = survey_flight(110, 2.6);
+  auto frames = simulate_frames(trajectory, 25, 2.0, {}, 5);
+  Estimator estimator({}, downward_camera(), {}, test_camera().focal());
+  for (SimulatedFrame& frame : frames) {
+    if (frame.t > 15) frame.features.clear();
+    EXPECT_TRUE(estimator.memory() || frame.t < 12);
+    if (process(estimator, frame) == Estimator::Status::kFailed) break;
+  }
+  estimator.reset();
+  EXPECT_FALSE(estimator.memory());
+  Memory memory;
+  memory.height = 100;
+  EXPECT_TRUE(estimator.resume(memory));
+  for (const double height : {-1.0, 0.0, 1e6, std::nan("")}) {
+    memory.height = height;
+    EXPECT_FALSE(estimator.resume(memory)) << height;
+  }
+  memory.height = 100;
+  memory.gyro_bias.x() = 3;
+  EXPECT_FALSE(estimator.resume(memory));
+}
+
 TEST(Estimator, LosingSightEndsTheSessionWithAReason) {
   const Trajectory trajectory = survey_flight(110, 2.6);
   auto frames = simulate_frames(trajectory, 25, 2.0, {}, 5);

@@ -3,6 +3,7 @@
 //   vio_bench --config config/rural flight1.lcm flight2.lcm      flight logs with TRUTH
 //   vio_bench --config config/default --asl DIR                  EuRoC/ASL folders; calibration from its sensor.yaml
 //   vio_bench --config config/rural --starts 20 flight.lcm       starts at random moments: time, scale
+//   vio_bench --config config/rural --resets 15 flight.lcm       a reset every 15 s: time to the next session, scale
 //   vio_bench --config config/rural --loops 8 flight.lcm         an hour: memory and time per frame, loop by loop
 //
 // One line per flight: position RMSE after alignment in yaw and translation (4-DoF) and by a similarity (Umeyama), the
@@ -192,9 +193,11 @@ int main(int argc, char** argv) {
   vio::BenchRun run;
   vio::StartOptions start;
   int loops = 0;
+  double resets = 0;
   start.count = 0;
   app.add_option("--loops", loops, "instead, run each flight log so many times as one long flight");
   app.add_option("--starts", start.count, "instead, start at this many random moments of each input");
+  app.add_option("--resets", resets, "instead, end the session every so many seconds of each flight log");
   app.add_option("--starts-until", start.until, "the last of these moments, s");
   app.add_option("--starts-seed", start.seed, "of these moments");
   app.add_option("--config", config, "configuration folder")->required();
@@ -215,6 +218,8 @@ int main(int argc, char** argv) {
       const vio::BenchInput input{path, asl, setup};
       if (loops > 0) {
         vio::report_loops(input, run, loops);
+      } else if (resets > 0) {
+        vio::run_resets(input, resets, starts);
       } else if (start.count > 0) {
         vio::run_starts(input, start, starts);
       } else {

@@ -34,7 +34,8 @@ int main(int argc, char** argv) {
   app.add_option("--restart", restarts,
                  "SERVICE@S: kill it after S seconds of flight and start it again after 0.5 s; may be given again")
       ->delimiter(',');
-  app.add_option("--memory", options.memory, "file with which the fusion goes on after a restart (default: none)");
+  app.add_option("--memory", options.memory,
+                 "folder where vio and fusion keep what they go on with after a restart (default: none)");
   app.add_flag("--timings", timings, "fill in the processing times, which makes the output differ from run to run");
   CLI11_PARSE(app, argc, argv);
   if (!options.asl.empty()) {

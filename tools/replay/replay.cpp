@@ -146,6 +146,10 @@ ReplaySummary replay(const ReplayOptions& options) {
     running.push_back({.name = name, .start = make});
     running.back().restart(bus);
   };
+  if (!options.memory.empty()) std::filesystem::create_directories(options.memory);
+  const auto memory_of = [&](const char* service) {
+    return options.memory.empty() ? std::filesystem::path() : options.memory / service;
+  };
   if (!options.map.empty()) {
     start("map_server", [&](Node& node) {
       return std::make_unique<map_server::MapServerService>(node, options.config, options.map);
@@ -154,14 +158,15 @@ ReplaySummary replay(const ReplayOptions& options) {
           [&](Node& node) { return std::make_unique<registration::RegistrationService>(node, options.config); });
   }
   start("vio", [&](Node& node) {
-    if (options.asl.empty()) return std::make_unique<vio::VioService>(node, options.config);
+    if (options.asl.empty()) return std::make_unique<vio::VioService>(node, options.config, memory_of("vio"));
     const vio::VioOptions vio_options =
         options.config.empty() ? vio::VioOptions{} : vio::load_setup(options.config).options;
     return std::make_unique<vio::VioService>(node, vio::load_asl_setup(options.asl, vio_options));
   });
   if (!options.config.empty()) {
-    start("fusion",
-          [&](Node& node) { return std::make_unique<fusion::FusionService>(node, options.config, options.memory); });
+    start("fusion", [&](Node& node) {
+      return std::make_unique<fusion::FusionService>(node, options.config, memory_of("fusion"));
+    });
   }
   schedule(options.restarts, running);
 

@@ -29,7 +29,7 @@ struct ReplayOptions {
   std::filesystem::path trajectory;  // the odometry's states in TUM's format; empty: none
   std::filesystem::path times;       // CSV, a line per image: what the odometry made of it; empty: none
   std::vector<Restart> restarts;
-  std::filesystem::path memory;                   // where the fusion keeps what it goes on with; empty: nowhere
+  std::filesystem::path memory;                   // folder where vio and fusion keep what they go on with; empty: none
   std::function<void(double fraction)> progress;  // called about once per second of flight; may be empty
 };
 
