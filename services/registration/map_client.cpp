@@ -116,7 +116,9 @@ void MapClient::choose_level() {
 }
 
 bool MapClient::fits() const {
-  return level()->layout.num_features * kFeatureMemory <= options_.memory;
+  constexpr int64_t kTileMemory = 128;  // bytes, of a tile that is wanted, whatever is in it
+  const MapLayout& layout = level()->layout;
+  return layout.num_features * kFeatureMemory + layout.num_tiles() * kTileMemory <= options_.memory;
 }
 
 void MapClient::begin() {

@@ -14,6 +14,7 @@ namespace {
 
 constexpr int kMaxParts = 100'000;
 constexpr int64_t kMaxTiles = 100'000'000;
+constexpr int64_t kMaxFeatures = 1'000'000'000'000;
 
 static_assert(kFeatureMemory == sizeof(Eigen::Vector3f) + kSiftBytes);
 
@@ -24,7 +25,7 @@ std::string MapLayout::problem() const {
   if (tile_columns <= 0 || tile_rows <= 0 || static_cast<int64_t>(tile_columns) * tile_rows > kMaxTiles) {
     return fmt::format("map of {} x {} tiles", tile_columns, tile_rows);
   }
-  if (num_features <= 0) return "map without features";
+  if (num_features <= 0 || num_features > kMaxFeatures) return fmt::format("map of {} features", num_features);
   if (!(tile_size > 0) || !std::isfinite(tile_size) || !std::isfinite(east_min) || !std::isfinite(north_min)) {
     return "map's tiles have no place";
   }
