@@ -78,6 +78,26 @@ SubmapOptions SubmapOptions::from_config(ConfigNode& node) {
   return options;
 }
 
+std::string doubt(const Standing& place, const SubmapOptions& options) {
+  const double share = place.log_likelihood_ratio / place.log_likelihood;
+  const double evidence =
+      kShareEvidence * share + kInlierEvidence * place.aligned_share + place.log_likelihood_ratio / kRatioEvidence;
+  const bool large = place.log_likelihood_ratio >= options.min_likelihood_ratio;
+  const bool clear =
+      large && share >= options.min_likelihood_share && (place.is_expected || evidence >= options.min_evidence);
+  const bool stands_out = large && !place.is_expected && share >= kStandsOutShare &&
+                          place.inliers >= kStandsOut * place.second_inliers &&
+                          place.aligned_share >= options.min_aligned_share;
+  if (!clear && !stands_out) {
+    return fmt::format("another place is nearly as likely: log-likelihood ratio {:.0f} of {:.0f}, evidence {:.2f}",
+                       place.log_likelihood_ratio, place.log_likelihood, evidence);
+  }
+  if (place.inliers < options.min_inliers) {
+    return fmt::format("{} inliers, {} are needed", place.inliers, options.min_inliers);
+  }
+  return "";
+}
+
 SubmapRegistrar::SubmapRegistrar(const SubmapOptions& options, const CameraModel& camera)
     : options_(options), camera_(camera) {}
 
@@ -331,25 +351,6 @@ double SubmapRegistrar::aligned_share(const Candidate& place) const {
   return place.fit.inliers / static_cast<double>(points);
 }
 
-std::string SubmapRegistrar::doubt(const Fix& fix, const Candidate& place) const {
-  const double share = fix.log_likelihood_ratio / fix.log_likelihood;
-  const double evidence =
-      kShareEvidence * share + kInlierEvidence * aligned_share(place) + fix.log_likelihood_ratio / kRatioEvidence;
-  const bool clear =
-      fix.log_likelihood_ratio >= options_.min_likelihood_ratio && share >= options_.min_likelihood_share;
-  const bool stands_out = !is_nearby() && fix.log_likelihood_ratio >= options_.min_likelihood_ratio &&
-                          share >= kStandsOutShare && fix.num_inliers >= kStandsOut * fix.num_second_inliers &&
-                          aligned_share(place) >= options_.min_aligned_share;
-  if (!stands_out && (!clear || (!is_nearby() && evidence < options_.min_evidence))) {
-    return fmt::format("another place is nearly as likely: log-likelihood ratio {:.0f} of {:.0f}, evidence {:.2f}",
-                       fix.log_likelihood_ratio, fix.log_likelihood, evidence);
-  }
-  if (fix.num_inliers < options_.min_inliers) {
-    return fmt::format("{} inliers, {} are needed", fix.num_inliers, options_.min_inliers);
-  }
-  return "";
-}
-
 Fix SubmapRegistrar::solve() {
   Fix fix;
   fix.reason = refused_;
@@ -404,7 +405,9 @@ Fix SubmapRegistrar::solve() {
     fix.heading_correction = wrap_angle(odometry_heading - yaw - heading_.value);
     fix.heading_correction_stddev = pose.yaw_stddev;
   }
-  fix.reason = doubt(fix, best);
+  fix.reason = doubt({fix.log_likelihood, fix.log_likelihood_ratio, aligned_share(best), fix.num_inliers,
+                      fix.num_second_inliers, is_nearby()},
+                     options_);
   if (fix.reason.empty() && !pose.ok) fix.reason = "the matches give no pose";
   fix.valid = fix.reason.empty();
   if (!fix.valid) {

@@ -60,6 +60,18 @@ struct PositionPrior {
   double stddev = 0;                             // m, of the worse direction
 };
 
+// What the best place has to show for itself against the best other one.
+struct Standing {
+  double log_likelihood = 0;
+  double log_likelihood_ratio = 0;  // less that of the other place
+  double aligned_share = 0;         // of the points, how many stay where they are aligned to the map
+  int inliers = 0, second_inliers = 0;
+  bool is_expected = false;  // the search was for a place where the aircraft is expected closely
+};
+
+// Why such a place is not accepted; empty when it is.
+std::string doubt(const Standing& place, const SubmapOptions& options);
+
 class SubmapRegistrar {
  public:
   SubmapRegistrar(const SubmapOptions& options, const CameraModel& camera);
@@ -115,8 +127,6 @@ class SubmapRegistrar {
   double aligned_share(const Candidate& place) const;
   // The best different places, the likeliest first by likelihood and aligned points; nearby, the best one.
   std::vector<Candidate> fit_best_places() const;
-  // Why a place is not accepted; empty when it is.
-  std::string doubt(const Fix& fix, const Candidate& place) const;
   void learn_from(const FittedPose& pose, size_t variant);
 
   SubmapOptions options_;

@@ -59,6 +59,55 @@ TEST(DotProducts, OfCoarseDescriptorsFitIntoSixteenBits) {
   }
 }
 
+// By none of the limits far enough for the sum of them, and by each just far enough to stand out.
+Standing outstanding() {
+  return {
+      .log_likelihood = 1000, .log_likelihood_ratio = 210, .aligned_share = 0.17, .inliers = 50, .second_inliers = 20};
+}
+
+TEST(Doubt, IsNoneOfAPlaceThatStandsOut) {
+  EXPECT_EQ(doubt(outstanding(), {}), "");
+}
+
+TEST(Doubt, IsOfAPlaceThatStandsOutInAllButOne) {
+  const auto is_refused = [](const Standing& place) { return !doubt(place, {}).empty(); };
+  Standing place = outstanding();
+  place.log_likelihood = 1100;  // a share of 0.19
+  EXPECT_TRUE(is_refused(place));
+  place = outstanding();
+  place.aligned_share = 0.16;
+  EXPECT_TRUE(is_refused(place));
+  place = outstanding();
+  place.second_inliers = 21;
+  EXPECT_TRUE(is_refused(place));
+  place = outstanding();
+  place.log_likelihood = 700;
+  place.log_likelihood_ratio = 149;  // a share as before
+  EXPECT_TRUE(is_refused(place));
+  place = outstanding();
+  place.inliers = 7;
+  place.second_inliers = 2;
+  EXPECT_TRUE(is_refused(place));
+  // Where the aircraft is expected there is one place, and what the second has says nothing.
+  place = outstanding();
+  place.is_expected = true;
+  EXPECT_TRUE(is_refused(place));
+}
+
+TEST(Doubt, IsNoneOfAPlaceThatIsClear) {
+  Standing place{
+      .log_likelihood = 1000, .log_likelihood_ratio = 599, .aligned_share = 0.1, .inliers = 30, .second_inliers = 29};
+  EXPECT_THAT(doubt(place, {}), HasSubstr("evidence 1.90"));  // 1.9 is needed
+  place.log_likelihood_ratio = 601;
+  EXPECT_EQ(doubt(place, {}), "");
+  // Where the aircraft is expected a share of 0.35 will do.
+  place.is_expected = true;
+  place.log_likelihood_ratio = 350;
+  EXPECT_EQ(doubt(place, {}), "");
+  place.log_likelihood_ratio = 349;
+  EXPECT_NE(doubt(place, {}), "");
+}
+
 class SubmapTest : public testing::Test {
  protected:
   MapFeatures features() const {
