@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
+#include <numeric>
 #include <stdexcept>
 
 #include <opencv2/imgproc.hpp>
@@ -27,50 +28,80 @@ constexpr float kMinGradient = 0.4F;
 // Nodes of the field to a cell: its window is smooth, so few are enough.
 constexpr double kNodesPerCell = 4.5;
 
-using Channels = std::array<float, kChannels>;
+using Channels = Eigen::Array<float, kChannels, 1>;
+
+// Of a number above -2^31; std::floor is a call where the machine may be an old one.
+int round_down(float value) {
+  const int towards_zero = static_cast<int>(value);
+  return towards_zero - (static_cast<float>(towards_zero) > value ? 1 : 0);
+}
 
 // Image pixels a node gathers, to each side.
 int pixels_per_node(const OrientationFieldOptions& options) {
   return std::max(1, cvRound(1.5 * options.keypoint_size / (kNodesPerCell * options.pixel_width)));
 }
 
-// Sums of the gradients' magnitudes by direction over blocks of `block` x `block` pixels; CV_32FC(8).
-cv::Mat gather_gradients(const cv::Mat& image, const OrientationFieldOptions& options, int block) {
-  const int rows = (image.rows + block - 1) / block;
-  const int columns = (image.cols + block - 1) / block;
-  cv::Mat nodes(rows, columns, CV_32FC(kChannels), cv::Scalar::all(0));
-  cv::Mat du(1, image.cols, CV_32F), dv(1, image.cols, CV_32F), magnitude, direction;
-  // Grey levels per map pixel, mean over the block, whatever the image's resolution.
-  const auto gain = static_cast<float>(0.5 / (options.pixel_width * block * block));
-  const double turns = options.rotation / (2 * M_PI);
-  const auto turn = static_cast<float>((turns - std::floor(turns)) * kChannels);
-  constexpr float kPerRadian = static_cast<float>(kChannels / (2 * M_PI));
-  for (int v = 1; v + 1 < image.rows; ++v) {
-    const auto* above = image.ptr<float>(v - 1);
-    const auto* here = image.ptr<float>(v);
-    const auto* below = image.ptr<float>(v + 1);
-    auto* x = du.ptr<float>();
-    auto* y = dv.ptr<float>();
-    x[0] = y[0] = x[image.cols - 1] = y[image.cols - 1] = 0;
-    for (int u = 1; u + 1 < image.cols; ++u) {
-      x[u] = gain * (here[u + 1] - here[u - 1]);
-      y[u] = gain * (below[u] - above[u]);
+// Column k is 1 in channel k: what goes into two channels is added to all at once, without a jump by which they are.
+const Eigen::Array<float, kChannels, kChannels> kUnits = Eigen::Matrix<float, kChannels, kChannels>::Identity().array();
+
+// Sums of the gradients' magnitudes by direction over blocks of `block` x `block` pixels, row by row from the top.
+class GradientRows {
+ public:
+  GradientRows(const cv::Mat& image, const OrientationFieldOptions& options, int block)
+      : image_(image),
+        block_(block),
+        // Grey levels per map pixel, mean over the block, whatever the image's resolution.
+        gain_(static_cast<float>(0.5 / (options.pixel_width * block * block))),
+        du_(1, image.cols, CV_32F, cv::Scalar(0)),
+        dv_(1, image.cols, CV_32F, cv::Scalar(0)) {
+    const double turns = options.rotation / (2 * M_PI);
+    turn_ = static_cast<float>((turns - std::floor(turns)) * kChannels);
+  }
+
+  int rows() const { return (image_.rows + block_ - 1) / block_; }
+  int columns() const { return (image_.cols + block_ - 1) / block_; }
+
+  // Adds row `row` to `nodes`, columns() of them.
+  void add(int row, float* nodes) {
+    const int end = std::min((row + 1) * block_, image_.rows - 1);
+    for (int v = std::max(1, row * block_); v < end; ++v) add_line(v, nodes);
+  }
+
+ private:
+  void add_line(int v, float* nodes) {
+    constexpr float kPerRadian = static_cast<float>(kChannels / (2 * M_PI));
+    const auto* above = image_.ptr<float>(v - 1);
+    const auto* here = image_.ptr<float>(v);
+    const auto* below = image_.ptr<float>(v + 1);
+    auto* x = du_.ptr<float>();
+    auto* y = dv_.ptr<float>();
+    for (int u = 1; u + 1 < image_.cols; ++u) {
+      x[u] = gain_ * (here[u + 1] - here[u - 1]);
+      y[u] = gain_ * (below[u] - above[u]);
     }
-    cv::cartToPolar(du, dv, magnitude, direction);
-    const auto* m = magnitude.ptr<float>();
-    const auto* a = direction.ptr<float>();
-    auto* row = nodes.ptr<float>(v / block);
-    for (int u = 1; u + 1 < image.cols; ++u) {
-      const float bin = a[u] * kPerRadian + turn;
-      const int lower = static_cast<int>(bin);
-      const float upper_share = (bin - static_cast<float>(lower)) * m[u];
-      float* node = row + kChannels * (u / block);
-      node[lower & (kChannels - 1)] += m[u] - upper_share;
-      node[(lower + 1) & (kChannels - 1)] += upper_share;
+    cv::cartToPolar(du_, dv_, magnitude_, direction_);
+    const auto* m = magnitude_.ptr<float>();
+    const auto* a = direction_.ptr<float>();
+    for (int first = 0; first < image_.cols; first += block_, nodes += kChannels) {
+      Eigen::Map<Channels> node(nodes);
+      Channels sum = node;
+      const int end = std::min(image_.cols, first + block_);
+      for (int u = first; u < end; ++u) {
+        const float bin = a[u] * kPerRadian + turn_;
+        const int lower = static_cast<int>(bin);
+        const float upper_share = (bin - static_cast<float>(lower)) * m[u];
+        sum += (m[u] - upper_share) * kUnits.col(lower & (kChannels - 1)) +
+               upper_share * kUnits.col((lower + 1) & (kChannels - 1));
+      }
+      node = sum;
     }
   }
-  return nodes;
-}
+
+  cv::Mat image_;
+  int block_;
+  float gain_, turn_;
+  cv::Mat du_, dv_, magnitude_, direction_;
+};
 
 // Separable triangular window of this half-width in nodes, normalised to a sum of one.
 std::vector<float> triangle(double half_width) {
@@ -85,28 +116,46 @@ std::vector<float> triangle(double half_width) {
   return window;
 }
 
-cv::Mat smooth(const cv::Mat& nodes, const std::vector<float>& window) {
+// out[i] = sum over k of window[k] in[k][i], for `nodes` nodes from `first` on.
+template <int nodes>
+void weigh_nodes(const std::vector<float>& window, const std::vector<const float*>& in, int first, float* out) {
+  using Nodes = Eigen::Array<float, nodes * kChannels, 1>;
+  Nodes sum = Nodes::Zero();
+  for (size_t k = 0; k < window.size(); ++k) sum += window[k] * Eigen::Map<const Nodes>(in[k] + kChannels * first);
+  Eigen::Map<Nodes> target(out + kChannels * first);
+  target = sum;
+}
+
+void weigh(const std::vector<float>& window, const std::vector<const float*>& in, int columns, float* out) {
+  constexpr int kAtOnce = 4;  // whose sums stay in registers
+  int column = 0;
+  for (; column + kAtOnce <= columns; column += kAtOnce) weigh_nodes<kAtOnce>(window, in, column, out);
+  for (; column < columns; ++column) weigh_nodes<1>(window, in, column, out);
+}
+
+// The gradients smoothed by the window in both directions, with one more node of zeros on each side. Row by row, so
+// that what is in work stays in the cache.
+cv::Mat smooth(GradientRows gradients, const std::vector<float>& window) {
   const int reach = static_cast<int>(window.size() / 2);
-  const int width = nodes.cols * kChannels;
-  cv::Mat columns(nodes.size(), nodes.type(), cv::Scalar::all(0));
-  for (int v = 0; v < nodes.rows; ++v) {
-    auto* out = columns.ptr<float>(v);
-    for (int k = std::max(-reach, -v); k <= std::min(reach, nodes.rows - 1 - v); ++k) {
-      const float weight = window[static_cast<size_t>(k + reach)];
-      const auto* in = nodes.ptr<float>(v + k);
-      for (int i = 0; i < width; ++i) out[i] += weight * in[i];
+  const int rows = gradients.rows();
+  const int columns = gradients.columns();
+  cv::Mat result(rows + 2, columns + 2, CV_32FC(kChannels));
+  for (cv::Mat border : {result.row(0), result.row(rows + 1), result.col(0), result.col(columns + 1)}) border.setTo(0);
+  // The rows below the window, zeros beyond the first and the last; and one row of them, zeros on either side.
+  cv::Mat below(static_cast<int>(window.size()), columns, result.type(), cv::Scalar::all(0));
+  cv::Mat across(1, columns + 2 * reach, result.type(), cv::Scalar::all(0));
+  std::vector<const float*> in_rows(window.size()), in_columns(window.size());
+  for (int k = 0; k <= 2 * reach; ++k) in_columns[static_cast<size_t>(k)] = across.ptr<float>() + kChannels * k;
+  for (int v = -reach; v < rows; ++v) {
+    cv::Mat next = below.row((v + 2 * reach + 1) % below.rows);
+    next.setTo(0);
+    if (v + reach < rows) gradients.add(v + reach, next.ptr<float>());
+    if (v < 0) continue;
+    for (int k = 0; k <= 2 * reach; ++k) {
+      in_rows[static_cast<size_t>(k)] = below.ptr<float>((v + k + 1) % below.rows);
     }
-  }
-  cv::Mat result(nodes.size(), nodes.type(), cv::Scalar::all(0));
-  for (int v = 0; v < nodes.rows; ++v) {
-    auto* out = result.ptr<float>(v);
-    for (int k = -reach; k <= reach; ++k) {
-      const float weight = window[static_cast<size_t>(k + reach)];
-      const int begin = std::max(0, -k) * kChannels;
-      const int end = (nodes.cols - std::max(0, k)) * kChannels;
-      const auto* in = columns.ptr<float>(v) + k * kChannels;
-      for (int i = begin; i < end; ++i) out[i] += weight * in[i];
-    }
+    weigh(window, in_rows, columns, across.ptr<float>() + kChannels * reach);
+    weigh(window, in_columns, columns, result.ptr<float>(v + 1) + kChannels);
   }
   return result;
 }
@@ -127,27 +176,17 @@ const std::array<float, kCells * kCells>& cell_weights() {
 }
 
 // RootSIFT in bytes. False and zeros when the gradients are too weak.
-bool normalise(std::array<float, kSiftBytes>& values, uint8_t* out) {
-  float squares = 0, sum = 0;
-  for (const float value : values) {
-    squares += value * value;
-    sum += value;
-  }
-  float weights = 0;
-  for (const float weight : cell_weights()) weights += weight;
-  if (!(sum > kMinGradient * weights)) {
+bool normalise(Eigen::Array<float, kChannels, kCells * kCells>& values, uint8_t* out) {
+  static const float total = std::accumulate(cell_weights().begin(), cell_weights().end(), 0.0F);
+  // Channel by channel first, for each sum waits for the one before.
+  if (!(values.rowwise().sum().sum() > kMinGradient * total)) {
     std::fill_n(out, kSiftBytes, uint8_t{0});
     return false;
   }
-  const float largest = kLargestShare * std::sqrt(squares);
-  sum = 0;
-  for (float& value : values) {
-    value = std::min(value, largest);
-    sum += value;
-  }
-  const auto scale = static_cast<float>(kRootSiftLength * kRootSiftLength) / sum;
-  for (size_t i = 0; i < values.size(); ++i) {
-    out[i] = static_cast<uint8_t>(std::min(255.0F, std::sqrt(scale * values[i]) + 0.5F));
+  values = values.min(kLargestShare * std::sqrt(values.square().rowwise().sum().sum()));
+  const float scale = static_cast<float>(kRootSiftLength * kRootSiftLength) / values.rowwise().sum().sum();
+  for (int i = 0; i < kSiftBytes; ++i) {
+    out[i] = static_cast<uint8_t>(static_cast<int>(std::min(255.0F, std::sqrt(scale * values.data()[i]) + 0.5F)));
   }
   return true;
 }
@@ -155,7 +194,7 @@ bool normalise(std::array<float, kSiftBytes>& values, uint8_t* out) {
 }  // namespace
 
 OrientationField::OrientationField(const cv::Mat& grey, const OrientationFieldOptions& options)
-    : cell_(1.5 * options.keypoint_size) {
+    : cell_(static_cast<float>(1.5 * options.keypoint_size)) {
   if (grey.empty() || grey.type() != CV_8UC1) {
     throw std::invalid_argument("OrientationField wants an 8-bit grey image");
   }
@@ -164,45 +203,46 @@ OrientationField::OrientationField(const cv::Mat& grey, const OrientationFieldOp
     throw std::invalid_argument("keypoint_size must be in [2, 128] pixels, pixel_width in [0.1, keypoint_size / 3]");
   }
   cv::Mat image;
-  grey.convertTo(image, CV_32F);
   const double wanted = kBaseSigma / options.pixel_width;
   if (wanted > kImageSigma + 0.05) {
     const double sigma = std::sqrt(wanted * wanted - kImageSigma * kImageSigma);
-    cv::GaussianBlur(image, image, {}, sigma, sigma, cv::BORDER_REPLICATE);
+    const cv::Mat kernel = cv::getGaussianKernel(cvRound(8 * sigma + 1) | 1, sigma, CV_32F);
+    cv::sepFilter2D(grey, image, CV_32F, kernel, kernel, {-1, -1}, 0, cv::BORDER_REPLICATE);
+  } else {
+    grey.convertTo(image, CV_32F);
   }
   const int block = pixels_per_node(options);
   pixels_per_node_ = static_cast<float>(block);
-  nodes_ = smooth(gather_gradients(image, options, block), triangle(kWindow * cell_ / (block * options.pixel_width)));
+  nodes_ = smooth(GradientRows(image, options, block),
+                  triangle(kWindow * 1.5 * options.keypoint_size / (block * options.pixel_width)));
 }
 
 bool OrientationField::describe(const Eigen::Vector2f& centre, const Eigen::Matrix2f& jacobian, uint8_t* out) const {
-  std::array<float, kSiftBytes> values{};
+  Eigen::Array<float, kChannels, kCells * kCells> values;
   const std::array<float, kCells* kCells>& weights = cell_weights();
+  // In nodes; the middle of node 0 is the middle of its block of pixels.
+  const Eigen::Vector2f step_x = cell_ / pixels_per_node_ * jacobian.col(0);
+  const Eigen::Vector2f step_y = cell_ / pixels_per_node_ * jacobian.col(1);
+  const Eigen::Vector2f middle = (centre.array() - 0.5F * (pixels_per_node_ - 1)) / pixels_per_node_;
+  const Eigen::Vector2f first = middle - 0.5F * (kCells - 1) * (step_x + step_y);
   for (int cell = 0; cell < kCells * kCells; ++cell) {
-    const int cell_row = cell / kCells, cell_column = cell % kCells;
-    const auto x = static_cast<float>((cell_column - 0.5 * (kCells - 1)) * cell_);
-    const auto y = static_cast<float>((cell_row - 0.5 * (kCells - 1)) * cell_);
-    // The middle of node 0 is the middle of its block of pixels.
     const Eigen::Vector2f place =
-        ((centre + jacobian * Eigen::Vector2f(x, y)).array() - 0.5F * (pixels_per_node_ - 1)) / pixels_per_node_;
-    if (!(place.x() > -1 && place.y() > -1 && place.x() < static_cast<float>(nodes_.cols) &&
-          place.y() < static_cast<float>(nodes_.rows))) {
+        first + static_cast<float>(cell % kCells) * step_x + static_cast<float>(cell / kCells) * step_y;
+    if (!(place.x() > -1 && place.y() > -1 && place.x() < static_cast<float>(nodes_.cols - 2) &&
+          place.y() < static_cast<float>(nodes_.rows - 2))) {
+      values.col(cell).setZero();
       continue;
     }
-    const int u = static_cast<int>(std::floor(place.x()));
-    const int v = static_cast<int>(std::floor(place.y()));
+    const int u = round_down(place.x());
+    const int v = round_down(place.y());
     const float a = place.x() - static_cast<float>(u);
     const float b = place.y() - static_cast<float>(v);
-    float* histogram = &values[static_cast<size_t>(cell) * kChannels];
-    for (int corner = 0; corner < 4; ++corner) {
-      const int column = u + (corner & 1);
-      const int row = v + (corner >> 1);
-      if (column < 0 || row < 0 || column >= nodes_.cols || row >= nodes_.rows) continue;
-      const float weight =
-          weights[static_cast<size_t>(cell)] * ((corner & 1) != 0 ? a : 1 - a) * ((corner >> 1) != 0 ? b : 1 - b);
-      const float* node = nodes_.ptr<float>(row) + kChannels * column;
-      for (int k = 0; k < kChannels; ++k) histogram[k] += weight * node[k];
-    }
+    const auto node = [&](int row, int column) {
+      return Eigen::Map<const Channels>(nodes_.ptr<float>(v + 1 + row) + kChannels * (u + 1 + column));
+    };
+    const float weight = weights[static_cast<size_t>(cell)];
+    values.col(cell) = weight * (1 - a) * (1 - b) * node(0, 0) + weight * a * (1 - b) * node(0, 1) +
+                       weight * (1 - a) * b * node(1, 0) + weight * a * b * node(1, 1);
   }
   return normalise(values, out);
 }

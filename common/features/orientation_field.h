@@ -51,9 +51,9 @@ class OrientationField {
   cv::Mat describe(const std::vector<cv::Point2f>& points) const;
 
  private:
-  double cell_;            // width of a histogram's cell, map pixels
+  float cell_;             // width of a histogram's cell, map pixels
   float pixels_per_node_;  // image pixels between the nodes of the field
-  cv::Mat nodes_;          // CV_32FC(8): smoothed channels
+  cv::Mat nodes_;          // CV_32FC(8): smoothed channels, within a border of one node of zeros
 };
 
 // Half the width of the square a descriptor depends on, map pixels.
