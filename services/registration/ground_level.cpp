@@ -24,11 +24,29 @@ constexpr double kOnGround = 0.62, kAbove = 0.37, kWrong = 0.01;
 constexpr double kTallest = 40;      // m
 constexpr double kWrongRange = 150;  // m
 
-double log_density(double above_ground, double stddev) {
-  const double z = above_ground / stddev;
-  double density = kWrong / kWrongRange + kOnGround / (std::sqrt(2 * M_PI) * stddev) * std::exp(-0.5 * z * z);
-  if (above_ground > 0 && above_ground < kTallest) density += kAbove / kTallest;
-  return std::log(density);
+constexpr double kFurthest = 6;  // standard deviations beyond which the ground's own density is nothing
+
+// Of levels kStep apart, the first at `lowest`: multiplies `densities` by those of one lift.
+void multiply(double lift, double lowest, double stddev, std::array<double, 2 * kReach + 1>& densities) {
+  const auto first_above = [&](double above_ground) {
+    const double level = std::ceil((lift + above_ground - lowest) / kStep);
+    return static_cast<size_t>(std::clamp(level, 0.0, static_cast<double>(densities.size())));
+  };
+  const size_t ground = first_above(-kFurthest * stddev), above = first_above(kFurthest * stddev);
+  const size_t zero = first_above(0), tallest = std::max(zero, first_above(kTallest));
+  constexpr double kBase = kWrong / kWrongRange, kRaised = kBase + kAbove / kTallest;
+  std::array<double, 2 * kReach + 1> density;  // NOLINT: filled below
+  std::fill(density.begin(), density.begin() + zero, kBase);
+  std::fill(density.begin() + zero, density.begin() + tallest, kRaised);
+  std::fill(density.begin() + tallest, density.end(), kBase);
+  // The Gaussian from level to level: its logarithm is quadratic, so the ratio of neighbours changes by a factor.
+  const double step = kStep / stddev;
+  const double z = (lowest + kStep * static_cast<double>(ground) - lift) / stddev;
+  double value = kOnGround / (std::sqrt(2 * M_PI) * stddev) * std::exp(-0.5 * z * z);
+  double ratio = std::exp(-step * (z + 0.5 * step));
+  const double change = std::exp(-step * step);
+  for (size_t i = ground; i < above; ++i, value *= ratio, ratio *= change) density[i] += value;
+  for (size_t i = 0; i < density.size(); ++i) densities[i] *= density[i];
 }
 
 }  // namespace
@@ -51,11 +69,17 @@ void GroundLevel::add(const std::vector<double>& lifts, double height, const Eig
   p_W_B_ = p_W_B;
   // Of the odometry's depths and the map's heights.
   const double stddev = std::hypot(0.7, 0.01 * height);
-  for (size_t i = 0; i < log_likelihoods_.size(); ++i) {
-    const double level = origin_ + kStep * (static_cast<double>(i) - kReach);
-    double sum = 0;
-    for (const double lift : lifts) sum += log_density(level - lift, stddev);
-    log_likelihoods_[i] += sum / lifts_per_observation;
+  // Products of the densities, for a logarithm takes as long as many of them; 64 of at least 6e-5 are not too small.
+  constexpr size_t kProduct = 64;
+  for (size_t first = 0; first < lifts.size(); first += kProduct) {
+    std::array<double, 2 * kReach + 1> densities;  // NOLINT: filled below
+    densities.fill(1);
+    for (size_t i = first; i < std::min(lifts.size(), first + kProduct); ++i) {
+      multiply(lifts[i], origin_ - kStep * kReach, stddev, densities);
+    }
+    for (size_t i = 0; i < densities.size(); ++i) {
+      log_likelihoods_[i] += std::log(densities[i]) / lifts_per_observation;
+    }
   }
   const auto best = std::max_element(log_likelihoods_.begin(), log_likelihoods_.end());
   const double mode = origin_ + kStep * static_cast<double>(best - log_likelihoods_.begin() - kReach);
