@@ -16,20 +16,32 @@ constexpr int kSampleSize = 512;
 // Offset of a coarse cell without a feature.
 constexpr float kNowhere = 1e9F;
 
-template <size_t N>
-float product(const std::array<float, N>& mean, const uint8_t* descriptor) {
-  float sum = 0;
-  for (size_t k = 0; k < N; ++k) sum += mean[k] * static_cast<float>(descriptor[k]);
-  return sum;
+template <int size>
+Eigen::Matrix<float, size, 1> values_of(const uint8_t* descriptor) {
+  return Eigen::Map<const Eigen::Matrix<uint8_t, size, 1>>(descriptor).template cast<float>();
 }
 
-template <size_t N>
-MapIndex::Centring centring_of(const std::array<float, N>& mean, float squared_mean, const uint8_t* descriptor) {
-  float squared = 0;
-  for (size_t k = 0; k < N; ++k) squared += static_cast<float>(descriptor[k]) * static_cast<float>(descriptor[k]);
-  const float with_mean = product(mean, descriptor);
-  const float scale = 1 / std::sqrt(std::max(1.0F, squared - 2 * with_mean + squared_mean));
-  return {scale, (with_mean - squared_mean) * scale};
+template <int size>
+MapIndex::Centring centring_of(const Eigen::Matrix<float, size, 1>& mean, const uint8_t* descriptor) {
+  const Eigen::Matrix<float, size, 1> difference = values_of<size>(descriptor) - mean;
+  const float scale = 1 / std::max(1.0F, difference.norm());
+  return {scale, difference.dot(mean) * scale};
+}
+
+// Of a sample of descriptors.
+template <int size>
+std::unique_ptr<MapIndex::Spread<size>> spread_of(const std::vector<const uint8_t*>& descriptors) {
+  auto spread = std::make_unique<MapIndex::Spread<size>>();
+  const float share = 1 / static_cast<float>(descriptors.size());
+  for (const uint8_t* each : descriptors) spread->mean_feature += share * values_of<size>(each);
+  for (const uint8_t* each : descriptors) {
+    const Eigen::Matrix<float, size, 1> difference = values_of<size>(each) - spread->mean_feature;
+    const Eigen::Matrix<float, size, 1> direction = difference / std::max(1.0F, difference.norm());
+    spread->mean += share * direction;
+    spread->covariance += share * direction * direction.transpose();
+  }
+  spread->covariance -= spread->mean * spread->mean.transpose();
+  return spread;
 }
 
 }  // namespace
@@ -59,15 +71,25 @@ MapIndex::MapIndex(MapFeatures features, const MapGeometry& geometry)
   if (positions_.empty() || static_cast<size_t>(descriptors_.rows) != positions_.size()) {
     throw std::invalid_argument("the map has no features, or positions and descriptors differ in number");
   }
-  if (descriptors_.type() != CV_8UC1 || descriptors_.cols != kSiftBytes) {
-    throw std::invalid_argument("the map's descriptors are not of 128 bytes");
+  if (descriptors_.type() != CV_8UC1 || descriptors_.cols != kSiftBytes || !descriptors_.isContinuous()) {
+    throw std::invalid_argument("the map's descriptors are not of 128 bytes, one after the other");
   }
   if (!(pitch_ > 0)) throw std::invalid_argument("the map's features are no grid");
   place_features();
-  take_sample();
-  centring_.resize(positions_.size());
+  // Features spread evenly over the map.
+  std::vector<const uint8_t*> sample, coarse_sample;
+  std::vector<std::array<uint8_t, kCoarseBytes>> coarse(kSampleSize);
+  const int step = std::max(1, num_features() / kSampleSize);
+  for (int i = step / 2; i < num_features() && sample.size() < kSampleSize; i += step) {
+    coarsen(descriptor(i), coarse[sample.size()].data());
+    coarse_sample.push_back(coarse[sample.size()].data());
+    sample.push_back(descriptor(i));
+  }
+  spread_ = spread_of<kSiftBytes>(sample);
+  coarse_spread_ = spread_of<kCoarseBytes>(coarse_sample);
+  centring_.reserve(positions_.size());
   for (int i = 0; i < num_features(); ++i) {
-    centring_[static_cast<size_t>(i)] = centring_of(mean_, squared_mean_, descriptor(i));
+    centring_.push_back(centring_of<kSiftBytes>(spread_->mean_feature, descriptor(i)));
   }
   make_coarse();
 }
@@ -98,31 +120,6 @@ void MapIndex::place_features() {
   }
 }
 
-void MapIndex::take_sample() {
-  const int step = std::max(1, num_features() / kSampleSize);
-  for (int i = step / 2; i < num_features() && static_cast<int>(sample_.size()) < kSampleSize; i += step) {
-    sample_.push_back(i);
-  }
-  const auto share = 1 / static_cast<float>(sample_.size());
-  std::array<uint8_t, kCoarseBytes> reduced{};
-  coarse_sample_.create(kCoarseBytes, static_cast<int>(sample_.size()), CV_8U);
-  for (size_t i = 0; i < sample_.size(); ++i) {
-    const uint8_t* of = descriptor(sample_[i]);
-    coarsen(of, reduced.data());
-    for (size_t k = 0; k < kSiftBytes; ++k) mean_[k] += share * static_cast<float>(of[k]);
-    for (size_t k = 0; k < kCoarseBytes; ++k) {
-      coarse_mean_[k] += share * static_cast<float>(reduced[k]);
-      coarse_sample_.at<uint8_t>(static_cast<int>(k), static_cast<int>(i)) = reduced[k];
-    }
-  }
-  for (const float value : mean_) squared_mean_ += value * value;
-  for (const float value : coarse_mean_) squared_coarse_mean_ += value * value;
-  for (const int feature : sample_) {
-    coarsen(descriptor(feature), reduced.data());
-    coarse_sample_centring_.push_back(centring_of(coarse_mean_, squared_coarse_mean_, reduced.data()));
-  }
-}
-
 void MapIndex::make_coarse() {
   const auto columns = static_cast<size_t>(coarse_columns());
   const size_t cells = static_cast<size_t>(coarse_rows()) * columns;
@@ -140,20 +137,12 @@ void MapIndex::make_coarse() {
       if (found < 0) continue;
       coarsen(descriptor(found), reduced.data());
       for (size_t k = 0; k < kCoarseBytes; ++k) out[k * columns + column] = reduced[k];
-      const Centring centring = centring_of(coarse_mean_, squared_coarse_mean_, reduced.data());
+      const Centring centring = centring_of<kCoarseBytes>(coarse_spread_->mean_feature, reduced.data());
       const size_t cell = static_cast<size_t>(row) * columns + column;
       coarse_scales_[cell] = centring.scale;
       coarse_offsets_[cell] = centring.offset;
     }
   }
-}
-
-float MapIndex::product_with_mean(const uint8_t* descriptor) const {
-  return product(mean_, descriptor);
-}
-
-float MapIndex::product_with_coarse_mean(const uint8_t* coarse) const {
-  return product(coarse_mean_, coarse);
 }
 
 }  // namespace orthonav::registration

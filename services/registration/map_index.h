@@ -8,8 +8,8 @@
 // Immutable after construction.
 #pragma once
 
-#include <array>
 #include <cstdint>
+#include <memory>
 #include <vector>
 
 #include <Eigen/Core>
@@ -36,6 +36,14 @@ class MapIndex {
   struct Centring {
     float scale = 0, offset = 0;
   };
+  // What likeness a descriptor q has to features of no relation, those of the whole map: of d = (f - m) / |f - m| the
+  // mean and the covariance say mean and variance of (q - m).d.
+  template <int size>
+  struct Spread {
+    Eigen::Matrix<float, size, 1> mean_feature = Eigen::Matrix<float, size, 1>::Zero();  // m
+    Eigen::Matrix<float, size, 1> mean = Eigen::Matrix<float, size, 1>::Zero();
+    Eigen::Matrix<float, size, size> covariance = Eigen::Matrix<float, size, size>::Zero();
+  };
 
   // Takes the features. Throws std::invalid_argument when there are none, their descriptors are not of kSiftBytes,
   // they are no grid of geometry's stride, or it spans more than a hundred million cells.
@@ -61,7 +69,7 @@ class MapIndex {
   const Eigen::Vector3f& position(int feature) const { return positions_[static_cast<size_t>(feature)]; }
 
   const Centring& centring(int feature) const { return centring_[static_cast<size_t>(feature)]; }
-  float product_with_mean(const uint8_t* descriptor) const;
+  const Spread<kSiftBytes>& spread() const { return *spread_; }
 
   int coarse_rows() const { return (rows_ + 1) / 2; }
   int coarse_columns() const { return (columns_ + 1) / 2; }
@@ -77,16 +85,10 @@ class MapIndex {
   const float* coarse_offsets(int row) const {
     return &coarse_offsets_[static_cast<size_t>(row) * static_cast<size_t>(coarse_columns())];
   }
-  float product_with_coarse_mean(const uint8_t* coarse) const;
-
-  // Features spread evenly over the map, to learn how similar a descriptor is to what is not its place.
-  const std::vector<int>& sample() const { return sample_; }
-  const cv::Mat& coarse_sample() const { return coarse_sample_; }  // their coarse descriptors, laid out as coarse_row
-  const std::vector<Centring>& coarse_sample_centring() const { return coarse_sample_centring_; }
+  const Spread<kCoarseBytes>& coarse_spread() const { return *coarse_spread_; }
 
  private:
   void place_features();
-  void take_sample();
   void make_coarse();
 
   std::vector<Eigen::Vector3f> positions_;
@@ -96,14 +98,10 @@ class MapIndex {
   int rows_ = 0, columns_ = 0;
   std::vector<int32_t> cells_;
   std::vector<uint8_t> coarse_;
-  std::array<float, kSiftBytes> mean_{};
-  std::array<float, kCoarseBytes> coarse_mean_{};
-  float squared_mean_ = 0, squared_coarse_mean_ = 0;
+  std::unique_ptr<Spread<kSiftBytes>> spread_;
+  std::unique_ptr<Spread<kCoarseBytes>> coarse_spread_;
   std::vector<Centring> centring_;
   std::vector<float> coarse_scales_, coarse_offsets_;
-  std::vector<Centring> coarse_sample_centring_;
-  std::vector<int> sample_;
-  cv::Mat coarse_sample_;
 };
 
 }  // namespace orthonav::registration

@@ -8,7 +8,6 @@
 #include <opencv2/imgproc.hpp>
 
 #include "common/math/so3.h"
-#include "services/registration/dot_products.h"
 
 namespace orthonav::registration {
 namespace {
@@ -18,40 +17,15 @@ double node_width(double keypoint_size) {
   return std::max(1.0, std::round(1.5 * keypoint_size / 4.5));
 }
 
-// Fills in mean and deviation from the products with the index' sample.
-template <class Product>
-void learn(const std::vector<MapIndex::Centring>& sample, const Product& product, Background& background) {
-  double sum = 0, squares = 0;
-  for (size_t i = 0; i < sample.size(); ++i) {
-    const double correlation = background.correlation(static_cast<float>(product(i)), sample[i]);
-    sum += correlation;
-    squares += correlation * correlation;
-  }
-  const auto count = static_cast<double>(sample.size());
-  const double mean = sum / count;
-  background.mean = static_cast<float>(mean);
-  background.stddev = static_cast<float>(std::sqrt(std::max(1e-9, squares / count - mean * mean)));
-}
-
-Background fine_background(const uint8_t* descriptor, const MapIndex& index) {
+template <int size>
+Background background_of(const uint8_t* descriptor, const MapIndex::Spread<size>& spread) {
+  const Eigen::Matrix<float, size, 1> values =
+      Eigen::Map<const Eigen::Matrix<uint8_t, size, 1>>(descriptor).template cast<float>();
+  const Eigen::Matrix<float, size, 1> difference = values - spread.mean_feature;
   Background background;
-  background.product = index.product_with_mean(descriptor);
-  std::vector<MapIndex::Centring> sample;
-  sample.reserve(index.sample().size());
-  for (const int feature : index.sample()) sample.push_back(index.centring(feature));
-  learn(
-      sample, [&](size_t i) { return dot_product(descriptor, index.descriptor(index.sample()[i])); }, background);
-  return background;
-}
-
-Background coarse_background(const uint8_t* coarse, const MapIndex& index) {
-  Background background;
-  background.product = index.product_with_coarse_mean(coarse);
-  const cv::Mat& sample = index.coarse_sample();
-  std::vector<uint16_t> products(static_cast<size_t>(sample.cols));
-  coarse_products(coarse, sample.ptr(), products.size(), products.size(), products.data());
-  learn(
-      index.coarse_sample_centring(), [&](size_t i) { return products[i]; }, background);
+  background.product = values.dot(spread.mean_feature);
+  background.mean = difference.dot(spread.mean);
+  background.stddev = std::sqrt(std::max(1e-9F, difference.dot(spread.covariance * difference)));
   return background;
 }
 
@@ -114,8 +88,8 @@ View make_view(const Keyframe& keyframe, const cv::Mat& image, const CameraModel
         (stretch.cwiseProduct(tracked.pixel + Eigen::Vector2d(0.5, 0.5)) - Eigen::Vector2d(0.5, 0.5)).cast<float>();
     if (!view.field->describe(point.pixel, point.jacobian, point.descriptor.data())) continue;
     coarsen(point.descriptor.data(), point.coarse.data());
-    point.background = fine_background(point.descriptor.data(), index);
-    point.coarse_background = coarse_background(point.coarse.data(), index);
+    point.background = background_of(point.descriptor.data(), index.spread());
+    point.coarse_background = background_of(point.coarse.data(), index.coarse_spread());
     view.points.push_back(point);
   }
   if (static_cast<int>(view.points.size()) <= options.min_points) {
