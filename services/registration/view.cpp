@@ -12,11 +12,6 @@
 namespace orthonav::registration {
 namespace {
 
-// Pixels of the map to a node of the field; the image is brought to a whole fraction of it.
-double node_width(double keypoint_size) {
-  return std::max(1.0, std::round(1.5 * keypoint_size / 4.5));
-}
-
 template <int size>
 Background background_of(const uint8_t* descriptor, const MapIndex::Spread<size>& spread) {
   const Eigen::Matrix<float, size, 1> values =
@@ -48,17 +43,18 @@ View make_view(const Keyframe& keyframe, const cv::Mat& image, const CameraModel
     view.refused = error.what();
     return view;
   }
-  // Map pixels an image pixel is wide, and as wide as the field's image will have it.
+  // Map pixels an image pixel is wide. Squares of finer ones than the map's are averaged; such as are too wide for a
+  // descriptor are split.
   const double own_width = similarity.scale / camera.focal();
-  const double node = node_width(map.keypoint_size);
-  const double width = node / std::clamp(std::round(node / own_width), 1.0, node);
-  const double shrink = own_width / width;
+  const double widest = map.keypoint_size / 3;
+  const double stretch = own_width < 1 ? 1 / std::round(1 / own_width) : std::max(1.0, std::ceil(own_width / widest));
   cv::Mat resized = image;
-  if (std::abs(shrink - 1) > 0.02) {
-    cv::resize(image, resized, {}, shrink, shrink, shrink < 1 ? cv::INTER_AREA : cv::INTER_LINEAR);
+  if (stretch != 1) {
+    const cv::Size size(static_cast<int>(image.cols * stretch), static_cast<int>(image.rows * stretch));
+    const cv::Rect whole(0, 0, cvRound(size.width / stretch), cvRound(size.height / stretch));
+    cv::resize(image(whole), resized, size, 0, 0, stretch < 1 ? cv::INTER_AREA : cv::INTER_LINEAR);
   }
-  const Eigen::Vector2d stretch(static_cast<double>(resized.cols) / image.cols,
-                                static_cast<double>(resized.rows) / image.rows);
+  const double width = std::min(own_width / stretch, widest);
   view.field.emplace(resized, OrientationFieldOptions{map.keypoint_size, width, similarity.angle});
 
   // Ten map pixels east and south of a place, as the camera sees them.
@@ -83,9 +79,8 @@ View make_view(const Keyframe& keyframe, const cv::Mat& image, const CameraModel
     if (!right || !left || !below || !above) continue;
     Eigen::Matrix2d jacobian;
     jacobian << (*right - *left) / 20, (*below - *above) / 20;
-    point.jacobian = (stretch.asDiagonal() * jacobian).cast<float>();
-    point.pixel =
-        (stretch.cwiseProduct(tracked.pixel + Eigen::Vector2d(0.5, 0.5)) - Eigen::Vector2d(0.5, 0.5)).cast<float>();
+    point.jacobian = (stretch * jacobian).cast<float>();
+    point.pixel = (stretch * (tracked.pixel.array() + 0.5) - 0.5).cast<float>();
     if (!view.field->describe(point.pixel, point.jacobian, point.descriptor.data())) continue;
     coarsen(point.descriptor.data(), point.coarse.data());
     point.background = background_of(point.descriptor.data(), index.spread());
