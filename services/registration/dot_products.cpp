@@ -1,7 +1,5 @@
 #include "services/registration/dot_products.h"
 
-#include <algorithm>
-
 #include "common/features/fixed_sift.h"
 
 // The same loops compiled for several instruction sets, the best of which is chosen at run time. What they compute is
@@ -15,6 +13,20 @@ ORTHONAV_INLINE int32_t dot_product_loop(const uint8_t* a, const uint8_t* b) {
   int32_t sum = 0;
   for (int i = 0; i < kSiftBytes; ++i) sum += static_cast<int16_t>(a[i]) * static_cast<int16_t>(b[i]);
   return sum;
+}
+
+ORTHONAV_INLINE void dot_products_loop(const uint8_t* query, const uint8_t* descriptors, const int* which, size_t count,
+                                       int32_t* out) {
+  int16_t wide[kSiftBytes];  // NOLINT: as below
+  std::copy_n(query, kSiftBytes, wide);
+  for (size_t i = 0; i < count; ++i) {
+    out[i] = 0;
+    if (which[i] < 0) continue;
+    const uint8_t* descriptor = descriptors + static_cast<ptrdiff_t>(which[i]) * kSiftBytes;
+    int32_t sum = 0;
+    for (int k = 0; k < kSiftBytes; ++k) sum += wide[k] * static_cast<int16_t>(descriptor[k]);
+    out[i] = sum;
+  }
 }
 
 ORTHONAV_INLINE void coarse_products_loop(const uint8_t* query, const uint8_t* row, size_t stride, size_t count,
@@ -43,11 +55,7 @@ ORTHONAV_INLINE void coarse_products_loop(const uint8_t* query, const uint8_t* r
 ORTHONAV_INLINE void evidence_loop(const uint16_t* products, const float* scales, const float* offsets, size_t count,
                                    const EvidenceLine& line, float* out) {
   const EvidenceLine l = line;
-  for (size_t i = 0; i < count; ++i) {
-    const float correlation = (static_cast<float>(products[i]) - l.a) * scales[i] - offsets[i];
-    const float excess = std::max(0.0F, l.b * correlation - l.c);
-    out[i] = std::min(l.limit, excess * excess);
-  }
+  for (size_t i = 0; i < count; ++i) out[i] = l.evidence(products[i], scales[i], offsets[i]);
 }
 
 ORTHONAV_INLINE void add_loop(const float* values, size_t count, float* sum) {
@@ -56,6 +64,7 @@ ORTHONAV_INLINE void add_loop(const float* values, size_t count, float* sum) {
 
 struct Functions {
   int32_t (*dot_product)(const uint8_t*, const uint8_t*);
+  void (*dot_products)(const uint8_t*, const uint8_t*, const int*, size_t, int32_t*);
   void (*coarse_products)(const uint8_t*, const uint8_t*, size_t, size_t, uint16_t*);
   void (*evidence)(const uint16_t*, const float*, const float*, size_t, const EvidenceLine&, float*);
   void (*add)(const float*, size_t, float*);
@@ -65,6 +74,10 @@ struct Functions {
 #define ORTHONAV_FUNCTIONS(suffix, attribute)                                                                       \
   __attribute__((attribute)) int32_t dot_product_##suffix(const uint8_t* a, const uint8_t* b) {                     \
     return dot_product_loop(a, b);                                                                                  \
+  }                                                                                                                 \
+  __attribute__((attribute)) void dot_products_##suffix(const uint8_t* query, const uint8_t* descriptors,           \
+                                                        const int* which, size_t count, int32_t* out) {             \
+    dot_products_loop(query, descriptors, which, count, out);                                                       \
   }                                                                                                                 \
   __attribute__((attribute)) void coarse_products_##suffix(const uint8_t* query, const uint8_t* row, size_t stride, \
                                                            size_t count, uint16_t* out) {                           \
@@ -78,8 +91,8 @@ struct Functions {
   __attribute__((attribute)) void add_##suffix(const float* values, size_t count, float* sum) {                     \
     add_loop(values, count, sum);                                                                                   \
   }                                                                                                                 \
-  constexpr Functions functions_##suffix = {dot_product_##suffix, coarse_products_##suffix, evidence_##suffix,      \
-                                            add_##suffix};
+  constexpr Functions functions_##suffix = {dot_product_##suffix, dot_products_##suffix, coarse_products_##suffix,  \
+                                            evidence_##suffix, add_##suffix};
 
 ORTHONAV_FUNCTIONS(any, )
 #if defined(__x86_64__)
@@ -98,6 +111,10 @@ const Functions& functions() {
 
 int32_t dot_product(const uint8_t* a, const uint8_t* b) {
   return functions().dot_product(a, b);
+}
+
+void dot_products(const uint8_t* query, const uint8_t* descriptors, const int* which, size_t count, int32_t* out) {
+  functions().dot_products(query, descriptors, which, count, out);
 }
 
 void coarse_products(const uint8_t* query, const uint8_t* row, size_t stride, size_t count, uint16_t* out) {

@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
+#include <optional>
 #include <utility>
 
 #include <Eigen/Cholesky>
@@ -30,9 +31,9 @@ const ViewPoint& point_of(const std::vector<const View*>& views, const PlacedPoi
   return views[static_cast<size_t>(placed.view)]->points[static_cast<size_t>(placed.point)];
 }
 
-// Offset from the newest body in G, before scale.
-Eigen::Vector2d lever_of(const std::vector<const View*>& views, const PlacedPoint& placed, double turn) {
-  return Alignment{turn, 1}.offset(views.front()->yaw, point_of(views, placed).p_W, views.front()->keyframe.p_W_B);
+// Horizontal offset in W of a point from the newest body.
+Eigen::Vector2d offset_of(const std::vector<const View*>& views, const ViewPoint& point) {
+  return (point.p_W - views.front()->keyframe.p_W_B).head<2>();
 }
 
 // The best-looking map feature within `reach` cells of where the fit puts each point.
@@ -40,25 +41,32 @@ std::vector<PlacedPoint> associate(const std::vector<const View*>& views, const 
                                    double reach, double min_excess) {
   std::vector<PlacedPoint> matches;
   const int cells = static_cast<int>(std::ceil(reach));
+  const Eigen::Matrix2d from_W = fit.alignment.from_W(views.front()->yaw);
+  std::vector<int> features, products;  // of the cells within reach
   for (size_t k = 0; k < views.size(); ++k) {
     for (size_t i = 0; i < views[k]->points.size(); ++i) {
       const ViewPoint& point = views[k]->points[i];
-      const Eigen::Vector2d cell =
-          index.cell(fit.en + fit.alignment.offset(views.front()->yaw, point.p_W, views.front()->keyframe.p_W_B));
+      const Eigen::Vector2d cell = index.cell(fit.en + from_W * offset_of(views, point));
       const int row = static_cast<int>(std::lround(cell.y()));
       const int column = static_cast<int>(std::lround(cell.x()));
-      PlacedPoint best;
-      double most = min_excess;
+      features.clear();
       for (int v = row - cells; v <= row + cells; ++v) {
         for (int u = column - cells; u <= column + cells; ++u) {
           const int feature = index.feature(v, u);
-          if (feature < 0 || std::hypot(u - cell.x(), v - cell.y()) > reach) continue;
-          const auto product = static_cast<float>(dot_product(point.descriptor.data(), index.descriptor(feature)));
-          const double excess = point.background.excess(product, index.centring(feature));
-          if (excess <= most) continue;
-          most = excess;
-          best.feature = feature;
+          if (feature < 0 || (Eigen::Vector2d(u, v) - cell).squaredNorm() > reach * reach) continue;
+          features.push_back(feature);
         }
+      }
+      products.resize(features.size());
+      dot_products(point.descriptor.data(), index.descriptor(0), features.data(), features.size(), products.data());
+      PlacedPoint best;
+      double most = min_excess;
+      for (size_t candidate = 0; candidate < features.size(); ++candidate) {
+        const double excess =
+            point.background.excess(static_cast<float>(products[candidate]), index.centring(features[candidate]));
+        if (excess <= most) continue;
+        most = excess;
+        best.feature = features[candidate];
       }
       if (best.feature < 0) continue;
       best.view = static_cast<int>(k);
@@ -75,23 +83,36 @@ std::vector<PlacedPoint> associate(const std::vector<const View*>& views, const 
 void solve(const std::vector<const View*>& views, double first, double last, const FitOptions& options,
            const Alignment& prior, PlaceFit& fit) {
   constexpr int kIterations = 12;
+  std::vector<Eigen::Vector2d> offsets;
+  offsets.reserve(fit.points.size());
+  for (const PlacedPoint& placed : fit.points) offsets.push_back(offset_of(views, point_of(views, placed)));
   Eigen::Matrix4d information = Eigen::Matrix4d::Identity();
   for (int iteration = 0; iteration < kIterations; ++iteration) {
     const double width = std::max(last, first * std::pow(0.75, iteration));
-    information.setZero();
-    Eigen::Vector4d gradient = Eigen::Vector4d::Zero();
-    double weights = 0, sum = 0;
-    for (PlacedPoint& placed : fit.points) {
-      const Eigen::Vector2d lever = fit.alignment.scale * lever_of(views, placed, fit.alignment.turn);
+    // The residual's derivatives by place, turn and log scale are the identity, the lever turned by 90 degrees and the
+    // lever: of the normal equations these are the sums that differ.
+    Eigen::Vector2d levers = Eigen::Vector2d::Zero(), residuals = Eigen::Vector2d::Zero();
+    double squared_levers = 0, turning = 0, stretching = 0, weights = 0, sum = 0;
+    const Eigen::Matrix2d from_W = fit.alignment.from_W(views.front()->yaw);
+    for (size_t i = 0; i < offsets.size(); ++i) {
+      PlacedPoint& placed = fit.points[i];
+      const Eigen::Vector2d lever = from_W * offsets[i];
       placed.residual = fit.en + lever - placed.en;
       placed.weight = robust_weight(placed.residual.squaredNorm(), width);
-      Eigen::Matrix<double, 2, 4> jacobian;
-      jacobian << Eigen::Matrix2d::Identity(), Eigen::Vector2d(-lever.y(), lever.x()), lever;
-      information += placed.weight * jacobian.transpose() * jacobian;
-      gradient += placed.weight * jacobian.transpose() * placed.residual;
+      const Eigen::Vector2d weighted = placed.weight * placed.residual;
+      levers += placed.weight * lever;
+      squared_levers += placed.weight * lever.squaredNorm();
+      residuals += weighted;
+      turning += lever.x() * weighted.y() - lever.y() * weighted.x();
+      stretching += lever.dot(weighted);
       weights += placed.weight;
-      sum += placed.weight * placed.residual.squaredNorm();
+      sum += weighted.dot(placed.residual);
     }
+    information << weights, 0, -levers.y(), levers.x(),  //
+        0, weights, levers.x(), levers.y(),              //
+        -levers.y(), levers.x(), squared_levers, 0,      //
+        levers.x(), levers.y(), 0, squared_levers;
+    Eigen::Vector4d gradient(residuals.x(), residuals.y(), turning, stretching);
     // Variance of a match per axis; matches that err together count less.
     const double variance = std::max(kMinResidual * kMinResidual, 0.5 * sum / std::max(1.0, weights));
     const double trust = 1 / (variance * options.matches_per_observation * static_cast<double>(views.size()));
@@ -118,18 +139,19 @@ void solve(const std::vector<const View*>& views, double first, double last, con
   fit.ok = covariance.allFinite() && fit.inliers > 0;
 }
 
-// Aligns a point's descriptor to one map feature: shift in map pixels (east, south) from the point to where its image
-// looks like the feature. False when the similarity has no peak nearby.
-bool align(const View& view, const ViewPoint& point, const uint8_t* feature, Eigen::Vector2f& shift) {
-  constexpr float kStep = 2.5F;      // map pixels
-  constexpr float kClose = 1.0F;     // a smaller move needs no second look
-  constexpr float kFurthest = 3.5F;  // a peak further from the start is another one
+constexpr float kClose = 1.0F;     // map pixels: a smaller move needs no second look
+constexpr float kFurthest = 3.5F;  // map pixels: a peak further from the start is another one
+
+// Where the point's descriptor, shifted in its own image, looks most like the feature.
+std::optional<Eigen::Vector2f> find_peak(const View& view, const ViewPoint& point, const uint8_t* feature,
+                                         const Eigen::Vector2f& start) {
+  constexpr float kStep = 2.5F;  // map pixels
   std::array<uint8_t, kSiftBytes> descriptor{};
   const auto similarity = [&](const Eigen::Vector2f& at) {
     view.field->describe(point.pixel + point.jacobian * at, point.jacobian, descriptor.data());
     return static_cast<float>(dot_product(descriptor.data(), feature));
   };
-  const Eigen::Vector2f start = shift;
+  Eigen::Vector2f shift = start;
   for (int iteration = 0; iteration < 2; ++iteration) {
     const float centre = similarity(shift);
     Eigen::Vector2f move;
@@ -138,18 +160,33 @@ bool align(const View& view, const ViewPoint& point, const uint8_t* feature, Eig
       const float before = similarity(shift - step);
       const float after = similarity(shift + step);
       const float curvature = before - 2 * centre + after;
-      if (!(curvature < 0)) return false;
+      if (!(curvature < 0)) return std::nullopt;
       move(axis) = std::clamp(0.5F * (before - after) / curvature, -1.0F, 1.0F) * kStep;
     }
     shift += move;
     if (move.norm() < kClose) break;
   }
-  return (shift - start).norm() < kFurthest;
+  if ((shift - start).norm() >= kFurthest) return std::nullopt;
+  return shift;
+}
+
+// The same, unless it was done before.
+std::optional<Eigen::Vector2f> align(const View& view, const ViewPoint& point, const MapIndex& index, int feature,
+                                     const Eigen::Vector2f& start) {
+  for (const AlignedFeature& known : point.aligned) {
+    if (known.feature != feature) continue;
+    if (known.peak ? (*known.peak - start).norm() < kFurthest : (known.start - start).norm() < kClose) {
+      return known.peak;
+    }
+  }
+  point.aligned.push_back({feature, start, find_peak(view, point, index.descriptor(feature), start)});
+  return point.aligned.back().peak;
 }
 
 // Puts matches between the map's features: the features around where the fit puts the point, each aligned, averaged.
 void align_points(const std::vector<const View*>& views, const MapIndex& index, double metres_per_pixel,
                   PlaceFit& fit) {
+  const Eigen::Vector2d flip(1, -1);  // north to south and back
   std::vector<PlacedPoint> aligned;
   for (PlacedPoint placed : fit.points) {
     if (placed.weight < kInlierWeight) continue;
@@ -170,9 +207,9 @@ void align_points(const std::vector<const View*>& views, const MapIndex& index, 
       if (feature < 0) continue;
       const Eigen::Vector2d en = index.position(feature).head<2>().cast<double>();
       const Eigen::Vector2d offset = (en - expected) / metres_per_pixel;
-      Eigen::Vector2f shift(static_cast<float>(offset.x()), static_cast<float>(-offset.y()));
-      if (!align(view, point, index.descriptor(feature), shift)) continue;
-      sum += en - metres_per_pixel * Eigen::Vector2d(shift.x(), -shift.y());
+      const auto shift = align(view, point, index, feature, offset.cwiseProduct(flip).cast<float>());
+      if (!shift) continue;
+      sum += en - metres_per_pixel * shift->cast<double>().cwiseProduct(flip);
       ground += index.position(feature).z();
       ++count;
     }
@@ -231,6 +268,20 @@ FittedPose fit_pose(const std::vector<const View*>& views, const PlaceFit& fit, 
     mean_drop += (keyframe.p_W_B.z() - point_of(views, *inliers[i]).p_W.z()) / static_cast<double>(inliers.size());
   }
 
+  // Of each view, the camera as the odometry has it. Views differ in the yaw assumed only as far as the compass does;
+  // the newest's counts for all.
+  struct Camera {
+    Eigen::Matrix3d R_C_W, R_C_G;
+    Eigen::Vector3d arm_C;  // from the newest body, before scale
+  };
+  std::vector<Camera> cameras;
+  for (const View* view : views) {
+    const Keyframe& own = view->keyframe;
+    const Eigen::Matrix3d R_W_B = own.q_W_B.toRotationMatrix();
+    const Eigen::Matrix3d R_C_W = (R_W_B * own.extrinsics.R_B_C).transpose();
+    cameras.push_back({R_C_W, R_C_W, R_C_W * (own.p_W_B + R_W_B * own.extrinsics.p_B_C - keyframe.p_W_B)});
+  }
+
   // Unknowns: position of the newest body, a turn of all the odometry's frame (in G), log of the scale.
   Eigen::Vector3d p_G_B(fit.en.x(), fit.en.y(), level);
   Eigen::Matrix3d R_G_W = Eigen::AngleAxisd(newest.yaw + fit.alignment.turn, Eigen::Vector3d::UnitZ()).matrix();
@@ -243,23 +294,19 @@ FittedPose fit_pose(const std::vector<const View*>& views, const PlaceFit& fit, 
     Eigen::Matrix<double, 7, 1> gradient = Eigen::Matrix<double, 7, 1>::Zero();
     double weights = 0, sum = 0;
     const double scale = std::exp(log_scale);
+    for (Camera& camera : cameras) camera.R_C_G = camera.R_C_W * R_G_W.transpose();
     for (size_t i = 0; i < inliers.size(); ++i) {
-      const View& view = *views[static_cast<size_t>(inliers[i]->view)];
-      const Keyframe& own = view.keyframe;
-      const Eigen::Matrix3d R_W_B = own.q_W_B.toRotationMatrix();
-      const Eigen::Vector3d arm = own.p_W_B + R_W_B * own.extrinsics.p_B_C - keyframe.p_W_B;
-      // Views differ in the yaw assumed only as far as the compass does; the newest's counts for all.
-      const Eigen::Matrix3d R_C_W = (R_W_B * own.extrinsics.R_B_C).transpose();
+      const Camera& camera = cameras[static_cast<size_t>(inliers[i]->view)];
       const Eigen::Vector3d point_G(inliers[i]->en.x(), inliers[i]->en.y(), heights[i]);
       const Eigen::Vector3d from_body_G = point_G - p_G_B;
-      const Eigen::Vector3d p_C = R_C_W * (R_G_W.transpose() * from_body_G - scale * arm);
+      const Eigen::Vector3d p_C = camera.R_C_G * from_body_G - scale * camera.arm_C;
       if (!(p_C.z() > 1)) return result;
       // In metres on the ground: the ray's miss times the depth.
       const Eigen::Vector2d residual = p_C.head<2>() - p_C.z() * point_of(views, *inliers[i]).ray;
       Eigen::Matrix<double, 2, 3> projection;
       projection << Eigen::Matrix2d::Identity(), -point_of(views, *inliers[i]).ray;
       Eigen::Matrix<double, 3, 7> point;
-      point << -R_C_W * R_G_W.transpose(), R_C_W * R_G_W.transpose() * skew(from_body_G), -scale * R_C_W * arm;
+      point << -camera.R_C_G, camera.R_C_G * skew(from_body_G), -scale * camera.arm_C;
       const Eigen::Matrix<double, 2, 7> jacobian = projection * point;
       const double weight = robust_weight(residual.squaredNorm(), width);
       information += weight * jacobian.transpose() * jacobian;

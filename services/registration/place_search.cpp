@@ -97,18 +97,13 @@ size_t closest(const std::vector<Alignment>& all, double yaw, const Alignment& t
   return static_cast<size_t>(std::min_element(all.begin(), all.end(), nearer) - all.begin());
 }
 
-float evidence(const ViewPoint& point, const MapIndex& index, int feature, const EvidenceOptions& options) {
-  const auto product = static_cast<float>(dot_product(point.descriptor.data(), index.descriptor(feature)));
-  const float excess =
-      point.background.excess(product, index.centring(feature)) - static_cast<float>(options.threshold);
-  return excess > 0 ? std::min(static_cast<float>(options.limit), excess * excess) : 0.0F;
+EvidenceLine line_of(const Background& background, const EvidenceOptions& options) {
+  return {background.product, 1 / background.stddev,
+          background.mean / background.stddev + static_cast<float>(options.threshold),
+          static_cast<float>(options.limit)};
 }
 
 }  // namespace
-
-Eigen::Vector2d Alignment::offset(double yaw, const Eigen::Vector3d& p_W, const Eigen::Vector3d& origin_W) const {
-  return scale * (Eigen::Rotation2Dd(yaw + turn) * (p_W - origin_W).head<2>());
-}
 
 std::vector<Alignment> alignments(const Alignment& expected, double turn_stddev, double scale_stddev, double lever,
                                   double step) {
@@ -153,11 +148,14 @@ CoarseLikelihood coarse_likelihood(const View& view, const MapIndex& index, cons
     std::vector<Cell> offsets;  // by alignment
     int row[2], column[2];      // NOLINT: least and largest of them
   };
+  std::vector<Eigen::Matrix2d> from_W;
+  for (const Alignment& candidate : candidates) from_W.push_back(candidate.from_W(view.yaw));
   std::vector<Points> points;
   for (const ViewPoint& point : view.points) {
     Points entry{&point, {}, {1 << 30, -(1 << 30)}, {1 << 30, -(1 << 30)}};
-    for (const Alignment& candidate : candidates) {
-      const Cell cell = cell_offset(candidate.offset(view.yaw, point.p_W, view.keyframe.p_W_B), pitch);
+    const Eigen::Vector2d offset_W = (point.p_W - view.keyframe.p_W_B).head<2>();
+    for (const Eigen::Matrix2d& rotation : from_W) {
+      const Cell cell = cell_offset(rotation * offset_W, pitch);
       entry.offsets.push_back(cell);
       entry.row[0] = std::min(entry.row[0], cell.row);
       entry.row[1] = std::max(entry.row[1], cell.row);
@@ -177,11 +175,8 @@ CoarseLikelihood coarse_likelihood(const View& view, const MapIndex& index, cons
       const int end = std::min(index.coarse_columns(), columns[1] + entry.column[1]);
       if (begin >= end) continue;
       const auto count = static_cast<size_t>(end - begin);
-      const Background& background = entry.point->coarse_background;
       coarse_products(entry.point->coarse.data(), index.coarse_row(row) + begin, stride, count, products.data());
-      const EvidenceLine line{background.product, 1 / background.stddev,
-                              background.mean / background.stddev + static_cast<float>(options.threshold),
-                              static_cast<float>(options.limit)};
+      const EvidenceLine line = line_of(entry.point->coarse_background, options);
       evidence_of(products.data(), index.coarse_scales(row) + begin, index.coarse_offsets(row) + begin, count, line,
                   weights.data());
       for (size_t h = 0; h < candidates.size(); ++h) {
@@ -214,7 +209,8 @@ std::vector<PlaceCandidate> best_coarse_places(const std::vector<ShiftedLikeliho
       const CoarseLikelihood& other = *keyframe.likelihood;
       const std::vector<float>& picture = other.sums[closest(other.alignments, keyframe.yaw, candidates[h], yaw)];
       // Where that keyframe's body was, seen from the newest.
-      const Cell shift = cell_offset(candidates[h].offset(yaw, keyframe.p_W_B, keyframes.front().p_W_B), pitch);
+      const Cell shift =
+          cell_offset(candidates[h].from_W(yaw) * (keyframe.p_W_B - keyframes.front().p_W_B).head<2>(), pitch);
       for (int row = 0; row < newest.rows; ++row) {
         const int from = row + newest.first_row + shift.row - other.first_row;
         if (from < 0 || from >= other.rows) continue;
@@ -248,29 +244,39 @@ std::vector<PlaceCandidate> best_fine_places(const std::vector<const View*>& vie
   std::vector<std::vector<float>> sums(candidates.size(),
                                        std::vector<float>(static_cast<size_t>(side) * static_cast<size_t>(side), 0.0F));
   std::vector<std::vector<float>> own;
+  std::vector<Eigen::Matrix2d> from_W;
+  for (const Alignment& candidate : candidates) from_W.push_back(candidate.from_W(views.front()->yaw));
   // Of each point, the features that any alignment and place puts it on are compared once.
   std::vector<Cell> first(candidates.size());
+  std::vector<int> features, products;
   std::vector<float> values;
   for (const View* view : views) {
     own.assign(candidates.size(), std::vector<float>(sums.front().size(), 0.0F));
     for (const ViewPoint& point : view->points) {
       Cell low{1 << 30, 1 << 30}, high{-(1 << 30), -(1 << 30)};
+      const Eigen::Vector2d offset_W = (point.p_W - views.front()->keyframe.p_W_B).head<2>();
       for (size_t h = 0; h < candidates.size(); ++h) {
-        const Eigen::Vector2d cell =
-            index.cell(centre + candidates[h].offset(views.front()->yaw, point.p_W, views.front()->keyframe.p_W_B));
+        const Eigen::Vector2d cell = index.cell(centre + from_W[h] * offset_W);
         first[h] = {static_cast<int>(std::lround(cell.y())) - reach, static_cast<int>(std::lround(cell.x())) - reach};
         low = {std::min(low.row, first[h].row), std::min(low.column, first[h].column)};
         high = {std::max(high.row, first[h].row + side), std::max(high.column, first[h].column + side)};
       }
       const int width = high.column - low.column;
-      values.assign(static_cast<size_t>(high.row - low.row) * static_cast<size_t>(width), 0.0F);
+      features.clear();
       for (int row = low.row; row < high.row; ++row) {
-        for (int column = low.column; column < high.column; ++column) {
-          const int feature = index.feature(row, column);
-          if (feature < 0) continue;
-          values[static_cast<size_t>((row - low.row) * width + column - low.column)] =
-              evidence(point, index, feature, options);
+        for (int column = low.column; column < high.column; ++column) features.push_back(index.feature(row, column));
+      }
+      products.resize(features.size());
+      values.resize(features.size());
+      dot_products(point.descriptor.data(), index.descriptor(0), features.data(), features.size(), products.data());
+      const EvidenceLine line = line_of(point.background, options);
+      for (size_t i = 0; i < features.size(); ++i) {
+        if (features[i] < 0) {
+          values[i] = 0;
+          continue;
         }
+        const MapIndex::Centring& centring = index.centring(features[i]);
+        values[i] = line.evidence(static_cast<float>(products[i]), centring.scale, centring.offset);
       }
       for (size_t h = 0; h < candidates.size(); ++h) {
         for (int i = 0; i < side; ++i) {

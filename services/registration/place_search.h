@@ -13,6 +13,7 @@
 #include <vector>
 
 #include <Eigen/Core>
+#include <Eigen/Geometry>
 
 #include "services/registration/map_index.h"
 #include "services/registration/view.h"
@@ -24,8 +25,8 @@ struct Alignment {
   double turn = 0;   // rad about z, counter-clockwise, on top of View::yaw
   double scale = 1;  // true size over the odometry's
 
-  // Horizontal offset in G, m, of a point from an origin, both in W.
-  Eigen::Vector2d offset(double yaw, const Eigen::Vector3d& p_W, const Eigen::Vector3d& origin_W) const;
+  // Takes horizontal offsets in W to G.
+  Eigen::Matrix2d from_W(double yaw) const { return scale * Eigen::Rotation2Dd(yaw + turn).toRotationMatrix(); }
 };
 
 // Alignments two standard deviations to both sides, so close that points at a distance `lever` (m) move by no more than

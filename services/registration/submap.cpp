@@ -109,7 +109,10 @@ void SubmapRegistrar::set_map(MapFeatures features, const MapGeometry& geometry)
       geometry.metres_per_pixel == geometry_.metres_per_pixel && geometry.keypoint_size == geometry_.keypoint_size;
   if (!comparable) keyframes_.clear();
   for (Remembered& keyframe : keyframes_) {
-    for (Variant& variant : keyframe) variant.everywhere.reset();
+    for (Variant& variant : keyframe) {
+      variant.everywhere.reset();
+      for (ViewPoint& point : variant.view->points) point.aligned.clear();
+    }
   }
   geometry_ = geometry;
 }
@@ -264,7 +267,8 @@ void SubmapRegistrar::search_around(const PositionPrior& prior, double radius, s
   std::vector<ShiftedLikelihood> all;
   const View& newest = *submap.front();
   for (const View* view : submap) {
-    const Eigen::Vector2d back = candidates.front().offset(newest.yaw, view->keyframe.p_W_B, newest.keyframe.p_W_B);
+    const Eigen::Vector2d back =
+        candidates.front().from_W(newest.yaw) * (view->keyframe.p_W_B - newest.keyframe.p_W_B).head<2>();
     likelihoods.push_back(coarse_likelihood(*view, *index_, candidates, {prior.en + back, radius}, options_.evidence));
     all.push_back({&likelihoods.back(), view->keyframe.p_W_B, newest.yaw});
   }

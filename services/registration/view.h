@@ -39,6 +39,14 @@ struct Background {
   }
 };
 
+// Where a point's image looks most like a map feature, looked for around `start`: map pixels (east, south) from the
+// point. No peak: nowhere nearby.
+struct AlignedFeature {
+  int feature = -1;
+  Eigen::Vector2f start = Eigen::Vector2f::Zero();
+  std::optional<Eigen::Vector2f> peak;
+};
+
 struct ViewPoint {
   int index = -1;            // in Keyframe::points
   Eigen::Vector2d ray;       // undistorted image coordinates at z = 1
@@ -48,6 +56,8 @@ struct ViewPoint {
   std::array<uint8_t, kSiftBytes> descriptor;
   std::array<uint8_t, kCoarseBytes> coarse;
   Background background, coarse_background;
+  // By the fits so far: a point is aligned to a feature once, not in each submap that it is part of.
+  mutable std::vector<AlignedFeature> aligned;
 };
 
 struct View {

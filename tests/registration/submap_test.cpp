@@ -27,6 +27,12 @@ TEST(DotProducts, AreThoseOfTheDefinitionWhateverTheWidth) {
     for (int k = 0; k < kSiftBytes; ++k) expected += bytes.at<uchar>(i, k) * bytes.at<uchar>(i + 1, k);
     EXPECT_EQ(dot_product(bytes.ptr(i), bytes.ptr(i + 1)), expected);
   }
+  const std::vector<int> which{7, -1, 0, 199};
+  std::vector<int> products(which.size());
+  dot_products(bytes.ptr(3), bytes.ptr(), which.data(), which.size(), products.data());
+  for (size_t i = 0; i < which.size(); ++i) {
+    EXPECT_EQ(products[i], which[i] < 0 ? 0 : dot_product(bytes.ptr(3), bytes.ptr(which[i])));
+  }
   for (const int columns : {1, 63, 64, 65, 200}) {
     cv::Mat row(kCoarseBytes, columns, CV_8U);
     random.fill(row, cv::RNG::UNIFORM, 0, 46);  // 32 products of at most 45 * 45 fit
