@@ -119,15 +119,15 @@ struct Raster::Impl {
     return grey;
   }
 
-  // Reads band `index` (1-based) of `inside` into the window-sized `image` at its place.
-  void read(int index, const cv::Rect& window, const cv::Rect& inside, cv::Mat& image, GDALDataType type) const {
-    GDALRasterBand* band = dataset->GetRasterBand(index);
+  // Reads bands 1 to image.channels() of `inside` into the window-sized `image` at its place.
+  void read(const cv::Rect& window, const cv::Rect& inside, cv::Mat& image, GDALDataType type) const {
     cv::Mat target = image(cv::Rect(inside.x - window.x, inside.y - window.y, inside.width, inside.height));
-    if (band->RasterIO(GF_Read, inside.x, inside.y, inside.width, inside.height, target.data, inside.width,
-                       inside.height, type, static_cast<GSpacing>(image.elemSize()),
-                       static_cast<GSpacing>(image.step)) != CE_None) {
-      fail(file, fmt::format("cannot read band {} at {}+{}, {}x{}: is the file truncated?", index, inside.x, inside.y,
-                             inside.width, inside.height));
+    if (dataset->RasterIO(GF_Read, inside.x, inside.y, inside.width, inside.height, target.data, inside.width,
+                          inside.height, type, image.channels(), nullptr, static_cast<GSpacing>(image.elemSize()),
+                          static_cast<GSpacing>(image.step), static_cast<GSpacing>(image.elemSize1()),
+                          nullptr) != CE_None) {
+      fail(file, fmt::format("cannot read {}x{} at {}+{}: is the file truncated?", inside.width, inside.height,
+                             inside.x, inside.y));
     }
   }
 
@@ -236,21 +236,17 @@ cv::Mat Raster::read_grey(const cv::Rect& window, cv::Mat* valid) const {
 
   const bool bytes = impl_->dataset->GetRasterBand(1)->GetRasterDataType() == GDT_Byte;
   if (!bytes && !impl_->range_known) impl_->find_range();
-  const auto read_band = [&](int index) {
-    cv::Mat band = cv::Mat::zeros(window.size(), bytes ? CV_8U : CV_32F);
-    impl_->read(index, window, inside, band, bytes ? GDT_Byte : GDT_Float32);
-    if (bytes) return band;
-    cv::patchNaNs(band, impl_->low);
-    cv::Mat stretched;
-    band.convertTo(stretched, CV_8U, impl_->scale, -impl_->scale * impl_->low);
-    return stretched;
-  };
-  if (impl_->is_colour()) {
-    cv::Mat colour;
-    cv::merge(std::vector<cv::Mat>{read_band(1), read_band(2), read_band(3)}, colour);
-    cv::transform(colour, grey, cv::Matx13f(0.299F, 0.587F, 0.114F));
+  const int channels = impl_->is_colour() ? 3 : 1;
+  cv::Mat bands(window.size(), CV_MAKETYPE(bytes ? CV_8U : CV_32F, channels), cv::Scalar::all(0));
+  impl_->read(window, inside, bands, bytes ? GDT_Byte : GDT_Float32);
+  if (!bytes) {
+    cv::patchNaNs(bands, impl_->low);
+    bands.convertTo(bands, CV_8U, impl_->scale, -impl_->scale * impl_->low);
+  }
+  if (channels == 3) {
+    cv::cvtColor(bands, grey, cv::COLOR_RGB2GRAY);
   } else {
-    grey = read_band(1);
+    grey = bands;
     if (const cv::Mat palette = impl_->palette(); !palette.empty()) cv::LUT(grey, palette, grey);
   }
   if (valid != nullptr) impl_->read_mask(window, inside, *valid);

@@ -214,27 +214,27 @@ BlockBuilder::Picture BlockBuilder::resample(const Block& block) {
     return frame_.to_geodetic({en.x(), en.y(), 0});
   };
   surface_.focus({corner(0, 0), corner(size.width, 0), corner(0, size.height), corner(size.width, size.height)});
-  cv::Mat mapping = sample_mapping({size, 32}, [&](const Eigen::Vector2d& pixel) {
+  const WarpGrid grid{size, 32};
+  const cv::Mat nodes = sample_nodes(grid, [&](const Eigen::Vector2d& pixel) {
     const Eigen::Vector2d en = position(block.level, picture.i0 + pixel.x(), picture.j0 + pixel.y());
     return raster_.geodetic_to_pixel(surface_.below(frame_, en).position);
   });
-  std::vector<cv::Mat> uv;
-  cv::split(mapping, uv);
-  double u_min = 0, u_max = 0, v_min = 0, v_max = 0;
-  cv::minMaxLoc(uv[0], &u_min, &u_max);
-  cv::minMaxLoc(uv[1], &v_min, &v_max);
+  cv::Mat low, high;  // between nodes the mapping is between theirs
+  cv::reduce(nodes.reshape(0, static_cast<int>(nodes.total())), low, 0, cv::REDUCE_MIN);
+  cv::reduce(nodes.reshape(0, static_cast<int>(nodes.total())), high, 0, cv::REDUCE_MAX);
+  const cv::Vec2d first = low.at<cv::Vec2d>(0), last = high.at<cv::Vec2d>(0);
   const int pad = 8 + static_cast<int>(2 * shrink);
-  const cv::Rect all(0, 0, raster_.width(), raster_.height());
-  const cv::Rect window =
-      cv::Rect(cv::Point(static_cast<int>(std::floor(u_min)) - pad, static_cast<int>(std::floor(v_min)) - pad),
-               cv::Point(static_cast<int>(std::ceil(u_max)) + pad, static_cast<int>(std::ceil(v_max)) + pad)) &
-      all;
+  const cv::Rect wanted(
+      cv::Point(static_cast<int>(std::floor(first[0])) - pad, static_cast<int>(std::floor(first[1])) - pad),
+      cv::Point(static_cast<int>(std::ceil(last[0])) + pad, static_cast<int>(std::ceil(last[1])) + pad));
+  const cv::Rect window = wanted & cv::Rect(0, 0, raster_.width(), raster_.height());
   if (window.empty()) return picture;
   cv::Mat source_valid;
   const cv::Mat source = fill_invalid(raster_.read_grey(window, &source_valid), source_valid);
-  mapping -= cv::Scalar(window.x, window.y);
+  const Mapping mapping = mapping_of(grid, nodes, window.tl());
   picture.grey = warp_grey(source, mapping, shrink);
-  picture.valid = warp_mask(source_valid, mapping);
+  const bool all_valid = window == wanted && cv::countNonZero(source_valid) == window.area();
+  picture.valid = all_valid ? cv::Mat(size, CV_8U, cv::Scalar(255)) : warp_mask(source_valid, mapping);
   return picture;
 }
 
@@ -257,10 +257,12 @@ int BlockBuilder::tile_in(const Block& block, const Eigen::Vector2d& en) const {
 std::vector<cv::Point2f> BlockBuilder::interest_points(const Picture& picture, const Block& block,
                                                        BlockFeatures& result) const {
   cv::Mat invalid;
-  cv::integral(picture.valid == 0, invalid, CV_32S);
+  const bool all_valid = cv::countNonZero(picture.valid) == static_cast<int>(picture.valid.total());
+  if (!all_valid) cv::integral(picture.valid == 0, invalid, CV_32S);
   // The contrast that a descriptor sees: finer grain, as a sensor's noise on water, is not of the ground.
   cv::Mat coarse, sum, squares;
-  cv::resize(picture.grey, coarse, {picture.grey.cols / kGrain, picture.grey.rows / kGrain}, 0, 0, cv::INTER_AREA);
+  const cv::Size size = picture.grey.size() / kGrain;
+  cv::resize(picture.grey(cv::Rect({0, 0}, size * kGrain)), coarse, size, 0, 0, cv::INTER_AREA);
   cv::integral(coarse, sum, squares, CV_32S, CV_64F);
   const cv::Rect all_coarse(0, 0, coarse.cols, coarse.rows);
   const int half = static_cast<int>(std::lround(3 * options_.keypoint_size));
@@ -278,7 +280,7 @@ std::vector<cv::Point2f> BlockBuilder::interest_points(const Picture& picture, c
       const cv::Rect square = cv::Rect(cvRound(u) - half, cvRound(v) - half, 2 * half + 1, 2 * half + 1) &
                               cv::Rect(0, 0, picture.grey.cols, picture.grey.rows);
       if (picture.valid.at<uchar>(cvRound(v), cvRound(u)) == 0 ||
-          sum_in<int>(invalid, square) / 255 > options_.max_invalid_fraction * square.area()) {
+          (!all_valid && sum_in<int>(invalid, square) / 255 > options_.max_invalid_fraction * square.area())) {
         ++result.without_data;
         continue;
       }

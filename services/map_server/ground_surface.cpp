@@ -94,15 +94,16 @@ Geodetic GroundSurface::at(const Geodetic& position) const {
 GroundPoint GroundSurface::below(const EnuFrame& frame, const Eigen::Vector2d& en) const {
   // G's vertical leans by the distance over the Earth's radius, so latitude and longitude depend on the height,
   // weakly: each step shrinks the error by far more than the slope of any terrain.
-  constexpr double kEnough = 1e-4;  // m
+  constexpr double kEnough = 1e-3, kEarthRadius = 6.4e6;  // m; sideways, by an error of the height
   GroundPoint ground;
   for (int i = 0; i < 4; ++i) {
     ground.position = frame.to_geodetic({en.x(), en.y(), ground.up});
     const double height = height_at(ground.position);
     ground.known = std::isfinite(height);
     const double error = (ground.known ? height : reference_height_) - ground.position.height;
-    if (std::abs(error) < kEnough) break;
     ground.up += error;
+    ground.position.height += error;
+    if (std::abs(error) * en.norm() < kEnough * kEarthRadius) break;
   }
   return ground;
 }

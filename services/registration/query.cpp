@@ -21,12 +21,13 @@ Eigen::Matrix2d rotation2(double angle) {
 }
 
 cv::Mat turned_image(const cv::Mat& image, const CameraModel& camera, const ImageSimilarity& similarity) {
-  const cv::Mat mapping = sample_mapping({similarity.size, 16}, [&](const Eigen::Vector2d& pixel) -> Eigen::Vector2d {
+  const WarpGrid grid{similarity.size, 16};
+  const cv::Mat nodes = sample_nodes(grid, [&](const Eigen::Vector2d& pixel) -> Eigen::Vector2d {
     const Eigen::Vector2d xy = similarity.invert(pixel);
     // Rays outside the lens model's range fall beyond the border, whose edge is repeated.
     return camera.project(xy.homogeneous()).value_or(Eigen::Vector2d(-1e4, -1e4));
   });
-  return warp_grey(image, mapping, camera.focal() / similarity.scale);
+  return warp_grey(image, mapping_of(grid, nodes, {}), camera.focal() / similarity.scale);
 }
 
 // Points of the detector that lie within the camera's image.
