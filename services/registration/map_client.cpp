@@ -118,7 +118,7 @@ void MapClient::choose_level() {
 bool MapClient::fits() const {
   constexpr int64_t kTileMemory = 128;  // bytes, of a tile that is wanted, whatever is in it
   const MapLayout& layout = level()->layout;
-  return layout.num_features * kFeatureMemory + layout.num_tiles() * kTileMemory <= options_.memory;
+  return layout.num_features * kFeatureMemory <= options_.memory && layout.num_tiles() * kTileMemory <= options_.memory;
 }
 
 void MapClient::begin() {

@@ -359,12 +359,12 @@ FittedPose fit_pose(const std::vector<const View*>& views, const PlaceFit& fit, 
 GroundLevel ground_along(const std::vector<const View*>& views, const PlaceFit& fit, const MapIndex& index,
                          const FitOptions& options) {
   GroundLevel ground;
+  const Eigen::Matrix2d from_W = fit.alignment.from_W(views.front()->yaw);
   for (size_t k = views.size() - 1; k > 0; --k) {
     const View& view = *views[k];
     std::vector<double> lifts;
     for (const ViewPoint& point : view.points) {
-      const Eigen::Vector2d cell =
-          index.cell(fit.en + fit.alignment.offset(views.front()->yaw, point.p_W, views.front()->keyframe.p_W_B));
+      const Eigen::Vector2d cell = index.cell(fit.en + from_W * offset_of(views, point));
       const int feature =
           index.feature(static_cast<int>(std::lround(cell.y())), static_cast<int>(std::lround(cell.x())));
       if (feature < 0) continue;

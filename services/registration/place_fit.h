@@ -66,8 +66,8 @@ struct FittedPose {
   double yaw = 0, yaw_stddev = 0;  // rad, of W in G
 };
 
-// What the views before the newest say of the height over the map's ground, all their points put where the fit has them:
-// who finds its place over a wood may have flown over its edge before. `views`: newest first.
+// What the views before the newest say of the height over the map's ground, all their points put where the fit has
+// them: who finds its place over a wood may have flown over its edge before. `views`: newest first.
 GroundLevel ground_along(const std::vector<const View*>& views, const PlaceFit& fit, const MapIndex& index,
                          const FitOptions& options);
 

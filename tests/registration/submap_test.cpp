@@ -28,10 +28,10 @@ TEST(DotProducts, AreThoseOfTheDefinitionWhateverTheWidth) {
     EXPECT_EQ(dot_product(bytes.ptr(i), bytes.ptr(i + 1)), expected);
   }
   const std::vector<int> which{7, -1, 0, 199};
-  std::vector<int> products(which.size());
-  dot_products(bytes.ptr(3), bytes.ptr(), which.data(), which.size(), products.data());
+  std::vector<int> found(which.size());
+  dot_products(bytes.ptr(3), bytes.ptr(), which.data(), which.size(), found.data());
   for (size_t i = 0; i < which.size(); ++i) {
-    EXPECT_EQ(products[i], which[i] < 0 ? 0 : dot_product(bytes.ptr(3), bytes.ptr(which[i])));
+    EXPECT_EQ(found[i], which[i] < 0 ? 0 : dot_product(bytes.ptr(3), bytes.ptr(which[i])));
   }
   for (const int columns : {1, 63, 64, 65, 200}) {
     cv::Mat row(kCoarseBytes, columns, CV_8U);
