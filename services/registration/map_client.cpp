@@ -15,6 +15,7 @@ constexpr double kFinest = 0.75;
 constexpr double kHysteresis = 0.2;
 // Part of the radius that the aircraft may move before the part of the map in use is exchanged.
 constexpr double kRim = 0.25;
+constexpr double kMostTilesAcross = 200;  // of a radius and of the way ahead
 
 }  // namespace
 
@@ -40,8 +41,12 @@ MapClientOptions MapClientOptions::from_config(ConfigNode& map) {
   return options;
 }
 
-std::vector<int> tiles_along(const MapLayout& layout, const Eigen::Vector2d& place, const Eigen::Vector2d& ahead,
-                             double radius) {
+std::vector<int> tiles_along(const MapLayout& layout, const Eigen::Vector2d& place, const Eigen::Vector2d& way,
+                             double furthest) {
+  // Whatever speed and uncertainty somebody claims, on a map of 10^8 tiles.
+  const double most = kMostTilesAcross * layout.tile_size;
+  const double radius = std::min(furthest, most);
+  const Eigen::Vector2d ahead = way.norm() > most ? Eigen::Vector2d(way.normalized() * most) : way;
   const Eigen::Vector2d low = place.cwiseMin(place + ahead).array() - radius;
   const Eigen::Vector2d high = place.cwiseMax(place + ahead).array() + radius;
   const auto index = [&](double metres, double first, int last) {

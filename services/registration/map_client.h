@@ -45,7 +45,8 @@ struct MapLevel {
   MapLayout layout;
 };
 
-// Tiles within `radius` (m) of the way from `place` to `place` + `ahead`, the nearest to `place` first.
+// Tiles within `radius` (m) of the way from `place` to `place` + `ahead`, the nearest to `place` first;
+// radius and way no longer than 200 tiles.
 std::vector<int> tiles_along(const MapLayout& layout, const Eigen::Vector2d& place, const Eigen::Vector2d& ahead,
                              double radius);
 
