@@ -73,7 +73,7 @@ std::string unusable(const std::filesystem::path& file, const std::string& finge
 
 std::string build_fingerprint(const std::filesystem::path& raster, const BuildOptions& options) {
   Checksum checksum;
-  checksum.add(fmt::format("onmap 4 {} {} {} {} {} {} {} {} {}", name_of(options.features), options.keypoint_stride,
+  checksum.add(fmt::format("onmap 5 {} {} {} {} {} {} {} {} {}", name_of(options.features), options.keypoint_stride,
                            options.keypoint_size, options.metres_per_pixel, options.tile_size_m,
                            options.max_invalid_fraction, options.min_contrast, options.levels,
                            options.ground_height_m));
