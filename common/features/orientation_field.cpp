@@ -226,8 +226,9 @@ bool OrientationField::describe(const Eigen::Vector2f& centre, const Eigen::Matr
   const Eigen::Vector2f middle = (centre.array() - 0.5F * (pixels_per_node_ - 1)) / pixels_per_node_;
   const Eigen::Vector2f first = middle - 0.5F * (kCells - 1) * (step_x + step_y);
   for (int cell = 0; cell < kCells * kCells; ++cell) {
-    const Eigen::Vector2f place =
-        first + static_cast<float>(cell % kCells) * step_x + static_cast<float>(cell / kCells) * step_y;
+    const int row = cell / kCells;
+    const int column = cell % kCells;
+    const Eigen::Vector2f place = first + static_cast<float>(column) * step_x + static_cast<float>(row) * step_y;
     if (!(place.x() > -1 && place.y() > -1 && place.x() < static_cast<float>(nodes_.cols - 2) &&
           place.y() < static_cast<float>(nodes_.rows - 2))) {
       values.col(cell).setZero();

@@ -10,7 +10,7 @@
 namespace orthonav::registration {
 
 std::string problem_of(const map_info_t& info) {
-  const std::string problem = level_of(info).layout.problem();
+  std::string problem = level_of(info).layout.problem();
   if (!problem.empty()) return problem;
   if (info.descriptor_size != kSiftBytes) return fmt::format("map has descriptors of {} bytes", info.descriptor_size);
   const bool detected = info.keypoint_size == 0;
