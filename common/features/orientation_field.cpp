@@ -238,8 +238,8 @@ bool OrientationField::describe(const Eigen::Vector2f& centre, const Eigen::Matr
     const int v = round_down(place.y());
     const float a = place.x() - static_cast<float>(u);
     const float b = place.y() - static_cast<float>(v);
-    const auto node = [&](int row, int column) {
-      return Eigen::Map<const Channels>(nodes_.ptr<float>(v + 1 + row) + kChannels * (u + 1 + column));
+    const auto node = [&](int down, int right) {
+      return Eigen::Map<const Channels>(nodes_.ptr<float>(v + 1 + down) + kChannels * (u + 1 + right));
     };
     const float weight = weights[static_cast<size_t>(cell)];
     values.col(cell) = weight * (1 - a) * (1 - b) * node(0, 0) + weight * a * (1 - b) * node(0, 1) +
