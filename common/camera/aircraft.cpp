@@ -66,7 +66,8 @@ YAML::Node camera_of(const KalibrFile& file, const YAML::Node& cam) {
   }
   const auto size = file.require_list(cam, "resolution", 2);
   for (const double side : size) {
-    if (!(side >= 1 && side <= 1e5)) file.fail(cam["resolution"], "resolution", "must be a width and a height in pixels");
+    if (!(side >= 1 && side <= 1e5))
+      file.fail(cam["resolution"], "resolution", "must be a width and a height in pixels");
   }
   const auto intrinsics = file.require_list(cam, "intrinsics", 4);
   YAML::Node camera;
