@@ -140,6 +140,7 @@ bool SubmapRegistrar::describe(const Keyframe& keyframe, int session, const cv::
     fitted_yaw_.reset();
     fitted_scale_.reset();
     ground_ = {};
+    num_fixes_ = 0;
   }
   places_.clear();
   heading_ = heading;
@@ -289,8 +290,18 @@ void SubmapRegistrar::compare_at_full_resolution(const std::vector<PlaceCandidat
   }
 }
 
+// What few fixes taught may be wrong, and then nothing is found under it: a fix of 8 inliers blinded `testing_zone` 2
+// for 220 s.
+void SubmapRegistrar::miss() {
+  constexpr int kTaught = 4, kDoubted = 8;  // fixes, keyframes
+  if (++without_fix_ < kDoubted || num_fixes_ >= kTaught) return;
+  fitted_yaw_.reset();
+  fitted_scale_.reset();
+}
+
 void SubmapRegistrar::learn_from(const FittedPose& pose, size_t variant) {
   without_fix_ = 0;
+  ++num_fixes_;
   fitted_yaw_ = fitted_yaw_ ? *fitted_yaw_ + kFittedShare * wrap_angle(pose.yaw - *fitted_yaw_) : pose.yaw;
   fitted_scale_ = fitted_scale_ ? *fitted_scale_ + kFittedShare * (pose.scale - *fitted_scale_) : pose.scale;
   // The heading is known from now on: of each keyframe, what was described under another one is of no use.
@@ -363,7 +374,7 @@ Fix SubmapRegistrar::solve() {
   fix.search_radius = radius_;
   for (const View* view : views(0, options_.max_keyframes)) fix.num_query += static_cast<int>(view->points.size());
   if (places_.empty()) {
-    ++without_fix_;
+    miss();
     fix.reason = "no place on the map looks like the submap";
     return fix;
   }
@@ -415,7 +426,7 @@ Fix SubmapRegistrar::solve() {
   if (fix.reason.empty() && !pose.ok) fix.reason = "the matches give no pose";
   fix.valid = fix.reason.empty();
   if (!fix.valid) {
-    ++without_fix_;
+    miss();
     return fix;
   }
   ground_ = std::move(ground);

@@ -127,6 +127,7 @@ class SubmapRegistrar {
   double aligned_share(const Candidate& place) const;
   // The best different places, the likeliest first by likelihood and aligned points; nearby, the best one.
   std::vector<Candidate> fit_best_places() const;
+  void miss();
   void learn_from(const FittedPose& pose, size_t variant);
 
   SubmapOptions options_;
@@ -143,6 +144,7 @@ class SubmapRegistrar {
   std::optional<double> fitted_yaw_, fitted_scale_;
   GroundLevel ground_;   // of the session's fixes
   int without_fix_ = 0;  // keyframes since the last fix
+  int num_fixes_ = 0;    // of the session
 
   std::string refused_;
   std::vector<Place> places_;

@@ -212,6 +212,29 @@ TEST_F(SubmapTest, IndexRefusesWhatIsNoGrid) {
   EXPECT_THROW(MapIndex(std::move(floats), kMap), std::invalid_argument);
 }
 
+// The same capture in a W that is turned by `angle`.
+Capture in_another_world(Capture capture, double angle) {
+  const Eigen::Matrix3d R = Eigen::AngleAxisd(angle, Eigen::Vector3d::UnitZ()).toRotationMatrix();
+  Keyframe& keyframe = capture.keyframe;
+  keyframe.p_W_B = R * keyframe.p_W_B;
+  keyframe.q_W_B = Eigen::Quaterniond(R) * keyframe.q_W_B;
+  for (TrackedPoint& point : keyframe.points) point.p_W = R * point.p_W;
+  return capture;
+}
+
+TEST_F(SubmapTest, WhatOneFixTaughtIsForgottenWhereNothingIsFoundUnderIt) {
+  SubmapOptions options;
+  options.max_keyframes = options.pose_keyframes = 1;
+  SubmapRegistrar registrar(options, test_camera());
+  registrar.set_map(features(), kMap);
+  const Capture capture = ground_.capture({95, -80, 60}, 0.3, 0.03, -0.04);
+  ASSERT_TRUE(add(registrar, in_another_world(capture, 0.4), {0.3, 0.05}).valid);
+  int misses = 0;
+  while (misses < 20 && !add(registrar, capture, {0.3, 0.05}).valid) ++misses;
+  EXPECT_GE(misses, 8);
+  EXPECT_LT(misses, 14);
+}
+
 TEST_F(SubmapTest, EstimatesTheErrorsOfCompassAndScaleFromAnUnknownStart) {
   for (const double heading : {0.3, 2.0, 4.5}) {
     SubmapRegistrar registrar({}, test_camera());
