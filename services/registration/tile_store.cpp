@@ -14,7 +14,7 @@ namespace {
 
 constexpr int kMaxParts = 100'000;
 constexpr int64_t kMaxTiles = 100'000'000;
-constexpr int64_t kMaxFeatures = 1'000'000'000'000;
+constexpr int64_t kMaxFeatures = 1'000'000'000'000'000;
 
 static_assert(kFeatureMemory == sizeof(Eigen::Vector3f) + kSiftBytes);
 
