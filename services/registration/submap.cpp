@@ -390,11 +390,17 @@ Fix SubmapRegistrar::solve() {
     break;
   }
   const PlaceFit& fit = best.fit;
-  // Fixes remember the ground; where there were none of late, the submap has to tell.
+  fix.num_inliers = static_cast<int>(fit.inliers);
+  if (candidates.size() > 1) fix.num_second_inliers = static_cast<int>(candidates[1].fit.inliers);
+  fix.reason = doubt({fix.log_likelihood, fix.log_likelihood_ratio, aligned_share(best), fix.num_inliers,
+                      fix.num_second_inliers, is_nearby()},
+                     options_);
+  // Fixes remember the ground; where there were none of late, the submap has to tell, of a place that is accepted.
   const bool remembered = ground_.known() && without_fix_ < options_.max_keyframes;
   GroundLevel ground =
-      remembered ? ground_
-                 : ground_along(views(best.place.variant, options_.max_keyframes), fit, *index_, options_.fit);
+      remembered || !fix.reason.empty()
+          ? ground_
+          : ground_along(views(best.place.variant, options_.max_keyframes), fit, *index_, options_.fit);
   const FittedPose pose = fit.ok ? fit_pose(views(best.place.variant, options_.pose_keyframes), fit,
                                             prior_alignment(best.place.variant), fit_options(), ground)
                                  : FittedPose{};
@@ -403,8 +409,6 @@ Fix SubmapRegistrar::solve() {
   const Eigen::Vector2d en = pose.ok ? pose.p_G_B.head<2>() : best.place.en;
   fix.translation = en - Eigen::Rotation2Dd(yaw) * newest.keyframe.p_W_B.head<2>();
   fix.num_candidates = fix.num_query;
-  fix.num_inliers = static_cast<int>(fit.inliers);
-  if (candidates.size() > 1) fix.num_second_inliers = static_cast<int>(candidates[1].fit.inliers);
   for (const PlacedPoint& placed : fit.points) {
     if (placed.view != 0 || placed.weight < 0.1) continue;
     const TrackedPoint& tracked =
@@ -420,9 +424,6 @@ Fix SubmapRegistrar::solve() {
     fix.heading_correction = wrap_angle(odometry_heading - yaw - heading_.value);
     fix.heading_correction_stddev = pose.yaw_stddev;
   }
-  fix.reason = doubt({fix.log_likelihood, fix.log_likelihood_ratio, aligned_share(best), fix.num_inliers,
-                      fix.num_second_inliers, is_nearby()},
-                     options_);
   if (fix.reason.empty() && !pose.ok) fix.reason = "the matches give no pose";
   fix.valid = fix.reason.empty();
   if (!fix.valid) {

@@ -106,12 +106,16 @@ std::optional<HeightMeasurement> Vio::height_at(int64_t utime) const {
 
 void Vio::hint_scale(double ratio, double stddev) {
   ++counters_["hints"];
-  if (start_.valid()) start_.get();
+  finish_start();
   estimator_.hint_scale(ratio, stddev);
 }
 
-bool Vio::reset(const std::string& reason) {
+void Vio::finish_start() {
   if (start_.valid()) start_.get();
+}
+
+bool Vio::reset(const std::string& reason) {
+  finish_start();
   if (reset_at_ != 0 && std::abs(last_state_ - reset_at_) < kResetPause) {
     ++counters_["reset.rejected.too_soon"];
     return false;
@@ -182,7 +186,7 @@ void Vio::restart(const std::string& reason) {
 
 std::optional<VioOutput> Vio::next() {
   while (!images_.empty()) {
-    if (start_.valid()) start_.get();
+    finish_start();
     const auto offset = static_cast<int64_t>(std::llround(1e6 * estimator_.time_offset()));
     const PendingImage image = images_.front();
     if (last_state_ - (image.utime + offset) > kStepBack) {

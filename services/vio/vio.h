@@ -90,6 +90,7 @@ class Vio {
   void count(const char* sensor, const typename SampleOrder<Sample>::Taken& taken);
   std::vector<ImuSample> take_imu(int64_t from, int64_t to, bool* gap);
   void restart(const std::string& reason);
+  void finish_start();  // waits for a start being solved; before anything of the estimator is touched
   std::optional<HeightMeasurement> height_at(int64_t utime) const;
   const std::vector<TrackedFeature>& with_row_delays(const std::vector<TrackedFeature>& features);
 
