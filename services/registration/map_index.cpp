@@ -46,7 +46,7 @@ std::unique_ptr<MapIndex::Spread<size>> spread_of(const std::vector<const uint8_
 
 }  // namespace
 
-void coarsen(const uint8_t* descriptor, uint8_t* coarse) {
+void coarsen(const uint8_t* descriptor, double length, uint8_t* coarse) {
   std::array<float, kCoarseBytes> sums{};
   for (int cell = 0; cell < 16; ++cell) {
     const int target = (cell / 8) * 2 + (cell % 4) / 2;
@@ -57,8 +57,8 @@ void coarsen(const uint8_t* descriptor, uint8_t* coarse) {
   }
   float total = 0;
   for (const float sum : sums) total += sum;
-  const float scale = total > 0 ? static_cast<float>(kCoarseLength * kCoarseLength) / total : 0;
-  // Rounded down, or the products of two could exceed 16 bits.
+  const float scale = total > 0 ? static_cast<float>(length * length) / total : 0;
+  // Rounded down, or the products of two could exceed 15 bits.
   for (int i = 0; i < kCoarseBytes; ++i) {
     coarse[i] = static_cast<uint8_t>(std::sqrt(scale * sums[static_cast<size_t>(i)]));
   }
@@ -81,7 +81,7 @@ MapIndex::MapIndex(MapFeatures features, const MapGeometry& geometry)
   std::vector<std::array<uint8_t, kCoarseBytes>> coarse(kSampleSize);
   const int step = std::max(1, num_features() / kSampleSize);
   for (int i = step / 2; i < num_features() && sample.size() < kSampleSize; i += step) {
-    coarsen(descriptor(i), coarse[sample.size()].data());
+    coarsen(descriptor(i), kCoarseLength, coarse[sample.size()].data());
     coarse_sample.push_back(coarse[sample.size()].data());
     sample.push_back(descriptor(i));
   }
@@ -135,11 +135,11 @@ void MapIndex::make_coarse() {
         if (found < 0) found = feature(2 * row + v, 2 * static_cast<int>(column) + u);
       }
       if (found < 0) continue;
-      coarsen(descriptor(found), reduced.data());
-      for (size_t k = 0; k < kCoarseBytes; ++k) out[k * columns + column] = reduced[k];
+      coarsen(descriptor(found), kCoarseLength, reduced.data());
+      for (size_t k = 0; k < kCoarseBytes; ++k) out[k / 2 * 2 * columns + 2 * column + k % 2] = reduced[k];
       const Centring centring = centring_of<kCoarseBytes>(coarse_spread_->mean_feature, reduced.data());
       const size_t cell = static_cast<size_t>(row) * columns + column;
-      coarse_scales_[cell] = centring.scale;
+      coarse_scales_[cell] = static_cast<float>(kCoarseLength / kCoarseQueryLength) * centring.scale;
       coarse_offsets_[cell] = centring.offset;
     }
   }

@@ -2,8 +2,8 @@
 //
 // The features of a grid lie where G's east and north are multiples of the stride, so the feature below any place is
 // found by its index. The coarse copy holds every second feature in each direction, with the 4 x 4 histograms of its
-// descriptor added up to 2 x 2: 32 bytes in place of 128, for a quarter of the features. It is laid out component by
-// component, so that one instruction compares one component of many features.
+// descriptor added up to 2 x 2: 32 bytes in place of 128, for a quarter of the features. It is laid out by pairs of
+// components, so that one instruction compares two components of many features.
 //
 // Immutable after construction.
 #pragma once
@@ -21,11 +21,12 @@
 namespace orthonav::registration {
 
 inline constexpr int kCoarseBytes = 32;
-// Length of a coarse descriptor: a product of two stays below 2^16, and so does every partial sum of one.
-inline constexpr double kCoarseLength = 255;
+// Length of a coarse descriptor of the map, and of one that it is compared with: components of the latter have 7 bits,
+// and a product of two stays below 2^15, as does every partial sum of one.
+inline constexpr double kCoarseLength = 255, kCoarseQueryLength = 127;
 
-// Adds up 2 x 2 histograms of a RootSIFT descriptor, which are sums of gradients again once squared.
-void coarsen(const uint8_t* descriptor, uint8_t* coarse);
+// Adds up 2 x 2 histograms of a RootSIFT descriptor, which are sums of gradients again once squared; `length` long.
+void coarsen(const uint8_t* descriptor, double length, uint8_t* coarse);
 
 class MapIndex {
  public:
@@ -73,12 +74,14 @@ class MapIndex {
 
   int coarse_rows() const { return (rows_ + 1) / 2; }
   int coarse_columns() const { return (columns_ + 1) / 2; }
-  // One row of the coarse grid: kCoarseBytes times coarse_columns() bytes; zeros where there is no feature.
+  // One row of the coarse grid: kCoarseBytes times coarse_columns() bytes, the first two components of all columns,
+  // then the next two ...; zeros where there is no feature.
   const uint8_t* coarse_row(int row) const {
     return &coarse_[static_cast<size_t>(row) * kCoarseBytes * static_cast<size_t>(coarse_columns())];
   }
 
-  // The scales, and the offsets, of the features of a coarse row; without a feature the offset is beyond reach.
+  // The scales (of products with a query, which is shorter), and the offsets, of the features of a coarse row; without
+  // a feature the offset is beyond reach.
   const float* coarse_scales(int row) const {
     return &coarse_scales_[static_cast<size_t>(row) * static_cast<size_t>(coarse_columns())];
   }

@@ -100,7 +100,7 @@ size_t closest(const std::vector<Alignment>& all, double yaw, const Alignment& t
 EvidenceLine line_of(const Background& background, const EvidenceOptions& options) {
   return {background.product, 1 / background.stddev,
           background.mean / background.stddev + static_cast<float>(options.threshold),
-          static_cast<float>(options.limit)};
+          static_cast<float>(std::sqrt(options.limit))};
 }
 
 }  // namespace
@@ -175,7 +175,7 @@ CoarseLikelihood coarse_likelihood(const View& view, const MapIndex& index, cons
       const int end = std::min(index.coarse_columns(), columns[1] + entry.column[1]);
       if (begin >= end) continue;
       const auto count = static_cast<size_t>(end - begin);
-      coarse_products(entry.point->coarse.data(), index.coarse_row(row) + begin, stride, count, products.data());
+      coarse_products(entry.point->coarse.data(), index.coarse_row(row) + 2 * begin, stride, count, products.data());
       const EvidenceLine line = line_of(entry.point->coarse_background, options);
       evidence_of(products.data(), index.coarse_scales(row) + begin, index.coarse_offsets(row) + begin, count, line,
                   weights.data());

@@ -23,8 +23,10 @@ constexpr double kFittedScaleStddev = 0.01;
 constexpr double kLearntTurnStddev = 3 * kRadian;
 constexpr double kFittedShare = 0.3;
 constexpr double kLargestScaleStddev = 0.1;  // that a session begins with
-// Headings tried where none is known: a descriptor stands a turn of half a step.
-constexpr int kHeadingsTried = 24;
+// Between the headings that a place is looked for under where nothing is known of it: a descriptor stands half of it.
+constexpr double kHeadingStep = 15 * kRadian;
+// The same where another one than the compass's is looked for, and how far from it, in its standard deviations.
+constexpr double kTurnStep = 9 * kRadian, kFurthestTurn = 4.5;
 // What the share of points that stay aligned with the map counts, beside the likelihood ratio's share.
 constexpr double kInlierEvidence = 3;
 // What that share counts in accepting a place, and the log-likelihood ratio that counts as 1: where little ground was
@@ -109,7 +111,7 @@ void SubmapRegistrar::set_map(MapFeatures features, const MapGeometry& geometry)
       geometry.metres_per_pixel == geometry_.metres_per_pixel && geometry.keypoint_size == geometry_.keypoint_size;
   if (!comparable) keyframes_.clear();
   for (Remembered& keyframe : keyframes_) {
-    for (Variant& variant : keyframe) {
+    for (Variant& variant : keyframe.variants) {
       variant.everywhere.reset();
       for (ViewPoint& point : variant.view->points) point.aligned.clear();
     }
@@ -126,7 +128,7 @@ void SubmapRegistrar::clear_map() {
 std::vector<const View*> SubmapRegistrar::views(size_t variant, int count) const {
   std::vector<const View*> result;
   for (const Remembered& keyframe : keyframes_) {
-    if (static_cast<int>(result.size()) < count) result.push_back(keyframe[variant].view.get());
+    if (static_cast<int>(result.size()) < count) result.push_back(keyframe.variants[variant].view.get());
   }
   return result;
 }
@@ -154,31 +156,60 @@ bool SubmapRegistrar::describe(const Keyframe& keyframe, int session, const cv::
     ++num_headings_;
     compass_yaw_ = num_headings_ == 1 ? yaw : compass_yaw_ + wrap_angle(yaw - compass_yaw_) / num_headings_;
   }
-  const int num_variants = options_.search_heading && !fitted_yaw_ ? kHeadingsTried : 1;
-  Remembered variants;
-  for (int i = 0; i < num_variants && refused_.empty(); ++i) {
-    const double yaw = fitted_yaw_.value_or(compass_yaw_) + 2 * M_PI * i / num_variants;
-    Variant variant;
-    variant.view = std::make_unique<View>(make_view(keyframe, image, camera_, odometry_heading - yaw,
-                                                    fitted_scale_.value_or(1.0), *index_, geometry_, options_.query));
-    variants.push_back(std::move(variant));
-    refused_ = variants.back().view->refused;
-  }
+  Remembered remembered{image, {}};
+  remembered.variants.push_back(described(keyframe, image, 0));
+  refused_ = remembered.variants.front().view->refused;
   if (!refused_.empty()) return false;
-  if (!keyframes_.empty() && keyframes_.front().size() != variants.size()) keyframes_.clear();
-  keyframes_.push_front(std::move(variants));
+  keyframes_.push_front(std::move(remembered));
   thin_out();
   return true;
 }
 
-void SubmapRegistrar::thin_out() {
-  const auto leaving = static_cast<size_t>(options_.pose_keyframes);  // no pose is made of it any more
-  if (keyframes_.size() > leaving) {
-    for (Variant& variant : keyframes_[leaving]) variant.view->field.reset();
+std::vector<double> SubmapRegistrar::turns() const {
+  std::vector<double> turns{0};
+  if (fitted_yaw_) return turns;
+  if (options_.search_heading) {
+    while (static_cast<int>(turns.size()) < std::lround(2 * M_PI / kHeadingStep)) {
+      turns.push_back(turns.back() + kHeadingStep);
+    }
+    return turns;
   }
+  const double near = std::min(2 * heading_.stddev, 0.5 * kHeadingStep);  // described under the compass's heading
+  const double far = std::min(M_PI, kFurthestTurn * heading_.stddev);
+  for (double turn = near + 0.5 * kTurnStep; turn < far; turn += kTurnStep) {
+    turns.push_back(turn);
+    turns.push_back(-turn);
+  }
+  return turns;
+}
+
+SubmapRegistrar::Variant SubmapRegistrar::described(const Keyframe& keyframe, const cv::Mat& image, double turn) const {
+  return {std::make_unique<View>(make_view(keyframe, image, camera_, heading_of(keyframe.q_W_B) - yaw() - turn,
+                                           fitted_scale_.value_or(1.0), *index_, geometry_, options_.query)),
+          std::nullopt};
+}
+
+void SubmapRegistrar::describe_turned(const std::vector<double>& turns) {
+  for (Remembered& remembered : keyframes_) {
+    for (size_t i = remembered.variants.size(); i < turns.size(); ++i) {
+      remembered.variants.push_back(described(remembered.keyframe(), remembered.image, turns[i]));
+    }
+  }
+  drop_old_fields();
+}
+
+void SubmapRegistrar::drop_old_fields() {
+  for (size_t k = static_cast<size_t>(options_.pose_keyframes); k < keyframes_.size(); ++k) {
+    for (Variant& variant : keyframes_[k].variants) variant.view->field.reset();
+  }
+}
+
+void SubmapRegistrar::thin_out() {
+  drop_old_fields();
+  const auto leaving = static_cast<size_t>(options_.pose_keyframes);  // no pose is made of it any more
   if (keyframes_.size() > leaving + 1) {
-    const Keyframe& keyframe = keyframes_[leaving].front().view->keyframe;
-    const Keyframe& before = keyframes_[leaving + 1].front().view->keyframe;
+    const Keyframe& keyframe = keyframes_[leaving].keyframe();
+    const Keyframe& before = keyframes_[leaving + 1].keyframe();
     const double distance = (keyframe.p_W_B - before.p_W_B).head<2>().norm();
     if (distance < options_.keyframe_spacing * keyframe.height_above_ground) {
       keyframes_.erase(keyframes_.begin() + options_.pose_keyframes);
@@ -187,27 +218,27 @@ void SubmapRegistrar::thin_out() {
   if (static_cast<int>(keyframes_.size()) > options_.max_keyframes) keyframes_.pop_back();
 }
 
-Alignment SubmapRegistrar::expected(const View& view) const {
-  if (keyframes_.front().size() > 1) return {0, fitted_scale_.value_or(1.0)};
-  return {wrap_angle(fitted_yaw_.value_or(compass_yaw_) - view.yaw), fitted_scale_.value_or(1.0)};
+Alignment SubmapRegistrar::expected(const View& view, size_t variant) const {
+  return {wrap_angle(yaw() + turns()[variant] - view.yaw), fitted_scale_.value_or(1.0)};
 }
 
 // A session begins with a scale that its odometry is not sure of, and says so.
 double SubmapRegistrar::scale_stddev() const {
-  const double own = keyframes_.front().front().view->keyframe.scale_stddev;
+  const double own = keyframes_.front().keyframe().scale_stddev;
   return std::max(options_.fit.scale_stddev, std::isfinite(own) ? std::min(own, kLargestScaleStddev) : 0);
 }
 
-std::vector<Alignment> SubmapRegistrar::alignments_for(const View& view, double lever, double step) const {
-  const size_t num_variants = keyframes_.front().size();
-  const double turn_stddev = fitted_yaw_        ? kFittedTurnStddev
-                             : num_variants > 1 ? 0.5 * M_PI / static_cast<double>(num_variants)
-                                                : heading_.stddev;
+std::vector<Alignment> SubmapRegistrar::alignments_for(size_t variant, const View& view, double lever,
+                                                       double step) const {
+  const double turn_stddev = fitted_yaw_               ? kFittedTurnStddev
+                             : options_.search_heading ? 0.25 * kHeadingStep
+                             : variant > 0             ? 0.25 * kTurnStep
+                                                       : heading_.stddev;
   // On the whole map more scales would be more chances for a wrong place.
   const double own = std::isfinite(radius_) ? scale_stddev() : options_.fit.scale_stddev;
   // While the odometry itself is not sure, the scale that was fitted first may be wrong, or change.
   const double scale = fitted_scale_ && own <= options_.fit.scale_stddev ? kFittedScaleStddev : own;
-  return alignments(expected(view), turn_stddev, scale, lever, step);
+  return alignments(expected(view, variant), turn_stddev, scale, lever, step);
 }
 
 void SubmapRegistrar::search(const std::optional<PositionPrior>& prior) {
@@ -219,15 +250,43 @@ void SubmapRegistrar::search(const std::optional<PositionPrior>& prior) {
                           std::pow(options_.widening, std::min(without_fix_, 50));
     if (radius < 0.5 * size.norm()) radius_ = radius;
   }
-  for (size_t variant = 0; variant < keyframes_.front().size(); ++variant) {
-    if (std::isfinite(radius_)) {
-      search_around(*prior, radius_, variant);
-    } else {
-      search_everywhere(variant);
+  const std::vector<double> turns = this->turns();
+  const bool is_everywhere = std::isinf(radius_);
+  if (options_.search_heading) describe_turned(turns);
+  for (size_t variant = 0; variant < turns.size(); ++variant) {
+    if (variant == 1 && !options_.search_heading) {
+      // The compass is believed where it leads to a place.
+      if (!is_everywhere || is_clear()) break;
+      describe_turned(turns);
     }
+    if (is_everywhere) {
+      search_everywhere(variant);
+    } else {
+      search_around(*prior, radius_, variant);
+    }
+    sort_places();
   }
-  std::stable_sort(places_.begin(), places_.end(),
-                   [](const Place& a, const Place& b) { return a.likelihood > b.likelihood; });
+}
+
+void SubmapRegistrar::sort_places() {
+  const auto likelier = [](const Place& a, const Place& b) { return a.likelihood > b.likelihood; };
+  std::stable_sort(places_.begin(), places_.end(), likelier);
+}
+
+double SubmapRegistrar::likelihood_ratio(const Place& place, const Eigen::Vector2d& fitted) const {
+  for (const Place& other : places_) {
+    if ((other.en - place.en).norm() < options_.second_distance) continue;
+    if ((other.en - fitted).norm() < options_.second_distance) continue;
+    return place.likelihood - other.likelihood;
+  }
+  return place.likelihood;
+}
+
+bool SubmapRegistrar::is_clear() const {
+  if (places_.empty()) return false;
+  const Place& best = places_.front();
+  const double ratio = likelihood_ratio(best, best.en);
+  return ratio >= options_.min_likelihood_ratio && ratio >= options_.min_likelihood_share * best.likelihood;
 }
 
 void SubmapRegistrar::search_everywhere(size_t variant) {
@@ -235,16 +294,16 @@ void SubmapRegistrar::search_everywhere(size_t variant) {
   const double step = 2 * index_->pitch();
   std::vector<ShiftedLikelihood> all;
   for (Remembered& keyframe : keyframes_) {
-    Variant& each = keyframe[variant];
+    Variant& each = keyframe.variants[variant];
     const View& view = *each.view;
     if (!each.everywhere) {
-      each.everywhere =
-          coarse_likelihood(view, *index_, alignments_for(view, lever_of({&view}), step), {}, options_.evidence);
+      each.everywhere = coarse_likelihood(view, *index_, alignments_for(variant, view, lever_of({&view}), step), {},
+                                          options_.evidence);
     }
     all.push_back({&*each.everywhere, view.keyframe.p_W_B, view.yaw});
   }
   const std::vector<const View*> submap = views(variant, options_.max_keyframes);
-  const std::vector<Alignment> candidates = alignments_for(*submap.front(), lever_of(submap), step);
+  const std::vector<Alignment> candidates = alignments_for(variant, *submap.front(), lever_of(submap), step);
   compare_at_full_resolution(
       best_coarse_places(all, *index_, candidates, options_.second_distance, options_.coarse_places), candidates,
       variant);
@@ -254,7 +313,7 @@ void SubmapRegistrar::search_around(const PositionPrior& prior, double radius, s
   const std::vector<const View*> submap = views(variant, options_.pose_keyframes);
   if (is_nearby()) {
     const std::vector<Alignment> candidates =
-        alignments_for(*submap.front(), lever_of({submap.front()}), 1.5 * index_->pitch());
+        alignments_for(variant, *submap.front(), lever_of({submap.front()}), 1.5 * index_->pitch());
     for (const PlaceCandidate& place : best_fine_places(submap, *index_, candidates, prior.en, radius,
                                                         options_.second_distance, 2, options_.evidence)) {
       places_.push_back({place.en, candidates[place.alignment], place.likelihood, variant});
@@ -262,7 +321,7 @@ void SubmapRegistrar::search_around(const PositionPrior& prior, double radius, s
     return;
   }
   const std::vector<Alignment> candidates =
-      alignments_for(*submap.front(), lever_of({submap.front()}), 2 * index_->pitch());
+      alignments_for(variant, *submap.front(), lever_of({submap.front()}), 2 * index_->pitch());
   std::vector<CoarseLikelihood> likelihoods;
   likelihoods.reserve(submap.size());
   std::vector<ShiftedLikelihood> all;
@@ -294,9 +353,15 @@ void SubmapRegistrar::compare_at_full_resolution(const std::vector<PlaceCandidat
 // for 220 s.
 void SubmapRegistrar::miss() {
   constexpr int kTaught = 4, kDoubted = 8;  // fixes, keyframes
-  if (++without_fix_ < kDoubted || num_fixes_ >= kTaught) return;
+  if (++without_fix_ < kDoubted || num_fixes_ >= kTaught || !fitted_yaw_) return;
   fitted_yaw_.reset();
   fitted_scale_.reset();
+  for (Remembered& keyframe : keyframes_) {
+    Variant again = described(keyframe.keyframe(), keyframe.image, 0);
+    keyframe.variants.clear();
+    keyframe.variants.push_back(std::move(again));
+  }
+  drop_old_fields();
 }
 
 void SubmapRegistrar::learn_from(const FittedPose& pose, size_t variant) {
@@ -306,11 +371,10 @@ void SubmapRegistrar::learn_from(const FittedPose& pose, size_t variant) {
   fitted_scale_ = fitted_scale_ ? *fitted_scale_ + kFittedShare * (pose.scale - *fitted_scale_) : pose.scale;
   // The heading is known from now on: of each keyframe, what was described under another one is of no use.
   for (Remembered& keyframe : keyframes_) {
-    if (keyframe.size() == 1) continue;
-    Remembered kept;
-    kept.push_back(std::move(keyframe[variant]));
-    kept.front().everywhere.reset();
-    keyframe = std::move(kept);
+    if (keyframe.variants.size() == 1) continue;
+    std::swap(keyframe.variants.front(), keyframe.variants[variant]);
+    keyframe.variants.erase(keyframe.variants.begin() + 1, keyframe.variants.end());
+    keyframe.variants.front().everywhere.reset();
   }
 }
 
@@ -326,9 +390,8 @@ FitOptions SubmapRegistrar::fit_options() const {
 }
 
 Alignment SubmapRegistrar::prior_alignment(size_t variant) const {
-  const double yaw = keyframes_.front()[variant].view->yaw;
   if (options_.search_heading && !fitted_yaw_) return {0, 1.0};
-  return {wrap_angle(fitted_yaw_.value_or(compass_yaw_) - yaw), 1.0};
+  return {wrap_angle(yaw() - keyframes_.front().variants[variant].view->yaw), 1.0};
 }
 
 std::vector<SubmapRegistrar::Candidate> SubmapRegistrar::fit_best_places() const {
@@ -382,13 +445,7 @@ Fix SubmapRegistrar::solve() {
   const Candidate& best = candidates.front();
   const View& newest = *views(best.place.variant, 1).front();
   fix.log_likelihood = best.place.likelihood;
-  fix.log_likelihood_ratio = best.place.likelihood;
-  for (const Place& other : places_) {
-    if ((other.en - best.place.en).norm() < options_.second_distance) continue;
-    if ((other.en - best.fit.en).norm() < options_.second_distance) continue;
-    fix.log_likelihood_ratio = best.place.likelihood - other.likelihood;
-    break;
-  }
+  fix.log_likelihood_ratio = likelihood_ratio(best.place, best.fit.en);
   const PlaceFit& fit = best.fit;
   fix.num_inliers = static_cast<int>(fit.inliers);
   if (candidates.size() > 1) fix.num_second_inliers = static_cast<int>(candidates[1].fit.inliers);

@@ -4,6 +4,8 @@
 // all of them, held together by the odometry, look most like the map (place_search.h): around the expected position
 // where the fusion has one, over the whole map where it has none, and over ever more of it while no place convinces.
 // Over the whole map the submap is as long as it can be: of the older keyframes those are kept that see new ground.
+// There, until a fix has told the heading, and where the compass's heading leads to no clear place, the submap is
+// described and searched for under headings further off too, out to 4.5 of the compass's standard deviations.
 // A fit of translation, turn and scale and a pose with priors follow (place_fit.h).
 //
 // A place is accepted by how much likelier it is than the best other one: what one field looks like, the next one may
@@ -84,8 +86,9 @@ class SubmapRegistrar {
   void clear_map();
 
   // The three stages of a keyframe, to be called in this order for each; separate so that the caller can time them.
-  // `session` is the odometry's: another one begins a new submap. Throw std::logic_error without a map. The return
-  // value says whether the keyframe can be used; why not is in the fix.
+  // `session` is the odometry's: another one begins a new submap. `image` is kept, not copied: not to be changed
+  // afterwards. Throw std::logic_error without a map. The return value says whether the keyframe can be used; why not
+  // is in the fix.
   bool describe(const Keyframe& keyframe, int session, const cv::Mat& image, const Heading& heading);
   void search(const std::optional<PositionPrior>& prior);
   Fix solve();
@@ -96,7 +99,12 @@ class SubmapRegistrar {
     std::unique_ptr<View> view;
     std::optional<CoarseLikelihood> everywhere;
   };
-  using Remembered = std::vector<Variant>;  // one for each heading tried; the same number for all keyframes
+  struct Remembered {
+    cv::Mat image;
+    std::vector<Variant> variants;  // one for each heading tried so far; after a search as many for all keyframes
+
+    const Keyframe& keyframe() const { return variants.front().view->keyframe; }
+  };
   // A place, and the heading it was found under.
   struct Place {
     Eigen::Vector2d en;
@@ -108,16 +116,30 @@ class SubmapRegistrar {
     Place place;
     PlaceFit fit;
   };
+  // Headings to be tried, less what is known of it (`yaw`), by variant: counter-clockwise, rad, the first 0.
+  std::vector<double> turns() const;
+  // Rotation about z that takes W to G, as fixes have it or else the compass.
+  double yaw() const { return fitted_yaw_.value_or(compass_yaw_); }
+  Variant described(const Keyframe& keyframe, const cv::Mat& image, double turn) const;
+  // Describes the keyframes under those of the turns under which they are not yet.
+  void describe_turned(const std::vector<double>& turns);
+  // Of keyframes that no poses are made of any more.
+  void drop_old_fields();
   // Leaves out of the older keyframes those that see little new ground.
   void thin_out();
   std::vector<const View*> views(size_t variant, int count) const;
-  Alignment expected(const View& view) const;
+  Alignment expected(const View& view, size_t variant) const;
   double scale_stddev() const;  // of the odometry, before the map says better
-  std::vector<Alignment> alignments_for(const View& view, double lever, double step) const;
+  std::vector<Alignment> alignments_for(size_t variant, const View& view, double lever, double step) const;
   void search_everywhere(size_t variant);
   void search_around(const PositionPrior& prior, double radius, size_t variant);
   void compare_at_full_resolution(const std::vector<PlaceCandidate>& coarse, const std::vector<Alignment>& candidates,
                                   size_t variant);
+  void sort_places();
+  // Log-likelihood of a place less that of the best one elsewhere: neither where it was found nor where it was fitted.
+  double likelihood_ratio(const Place& place, const Eigen::Vector2d& fitted) const;
+  // Whether the best place found stands out among the others.
+  bool is_clear() const;
   FitOptions fit_options() const;
   // What earlier fixes or else the compass, and the odometry, say, against what the newest view was described with.
   Alignment prior_alignment(size_t variant) const;

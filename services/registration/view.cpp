@@ -12,11 +12,12 @@
 namespace orthonav::registration {
 namespace {
 
+// `factor`: by which the descriptor is shorter than those of the map.
 template <int size>
-Background background_of(const uint8_t* descriptor, const MapIndex::Spread<size>& spread) {
+Background background_of(const uint8_t* descriptor, double factor, const MapIndex::Spread<size>& spread) {
   const Eigen::Matrix<float, size, 1> values =
       Eigen::Map<const Eigen::Matrix<uint8_t, size, 1>>(descriptor).template cast<float>();
-  const Eigen::Matrix<float, size, 1> difference = values - spread.mean_feature;
+  const Eigen::Matrix<float, size, 1> difference = static_cast<float>(factor) * values - spread.mean_feature;
   Background background;
   background.product = values.dot(spread.mean_feature);
   background.mean = difference.dot(spread.mean);
@@ -82,9 +83,10 @@ View make_view(const Keyframe& keyframe, const cv::Mat& image, const CameraModel
     point.jacobian = (stretch * jacobian).cast<float>();
     point.pixel = (stretch * (tracked.pixel.array() + 0.5) - 0.5).cast<float>();
     if (!view.field->describe(point.pixel, point.jacobian, point.descriptor.data())) continue;
-    coarsen(point.descriptor.data(), point.coarse.data());
-    point.background = background_of(point.descriptor.data(), index.spread());
-    point.coarse_background = background_of(point.coarse.data(), index.coarse_spread());
+    coarsen(point.descriptor.data(), kCoarseQueryLength, point.coarse.data());
+    point.background = background_of(point.descriptor.data(), 1, index.spread());
+    point.coarse_background =
+        background_of(point.coarse.data(), kCoarseLength / kCoarseQueryLength, index.coarse_spread());
     view.points.push_back(point);
   }
   if (static_cast<int>(view.points.size()) <= options.min_points) {

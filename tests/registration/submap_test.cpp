@@ -34,34 +34,41 @@ TEST(DotProducts, AreThoseOfTheDefinitionWhateverTheWidth) {
     EXPECT_EQ(found[i], which[i] < 0 ? 0 : dot_product(bytes.ptr(3), bytes.ptr(which[i])));
   }
   for (const int columns : {1, 63, 64, 65, 200}) {
-    cv::Mat row(kCoarseBytes, columns, CV_8U);
-    random.fill(row, cv::RNG::UNIFORM, 0, 46);  // 32 products of at most 45 * 45 fit
+    cv::Mat row(kCoarseBytes / 2, 2 * columns, CV_8U);
+    random.fill(row, cv::RNG::UNIFORM, 0, 46);  // 32 products of at most 45 * 22 fit
     cv::Mat query(1, kCoarseBytes, CV_8U);
-    random.fill(query, cv::RNG::UNIFORM, 0, 46);
+    random.fill(query, cv::RNG::UNIFORM, 0, 23);
     const int first = columns / 3;
     std::vector<uint16_t> products(static_cast<size_t>(columns - first));
-    coarse_products(query.ptr(), row.ptr() + first, static_cast<size_t>(columns), products.size(), products.data());
+    coarse_products(query.ptr(), row.ptr() + static_cast<ptrdiff_t>(2 * first), static_cast<size_t>(columns),
+                    products.size(), products.data());
     for (int i = first; i < columns; ++i) {
       int expected = 0;
-      for (int k = 0; k < kCoarseBytes; ++k) expected += query.at<uchar>(0, k) * row.at<uchar>(k, i);
+      for (int k = 0; k < kCoarseBytes; ++k) {
+        expected += query.at<uchar>(0, k) * row.at<uchar>(k / 2, 2 * i + k % 2);
+      }
       EXPECT_EQ(products[static_cast<size_t>(i - first)], expected) << columns;
     }
   }
 }
 
-TEST(DotProducts, OfCoarseDescriptorsFitIntoSixteenBits) {
+TEST(DotProducts, OfCoarseDescriptorsFitIntoFifteenBits) {
   // The two extremes: all in one component, and evenly spread.
   for (const int used : {1, 3, 128}) {
     std::array<uint8_t, kSiftBytes> descriptor{};
     for (int i = 0; i < used; ++i) {
       descriptor[static_cast<size_t>(i)] = static_cast<uint8_t>(std::min(255.0, kRootSiftLength / std::sqrt(used)));
     }
-    std::array<uint8_t, kCoarseBytes> coarse{};
-    coarsen(descriptor.data(), coarse.data());
-    int squared = 0;
-    for (const uint8_t value : coarse) squared += value * value;
-    EXPECT_LE(squared, 65025);
-    EXPECT_GT(squared, 50000);
+    std::array<uint8_t, kCoarseBytes> coarse{}, query{};
+    coarsen(descriptor.data(), kCoarseLength, coarse.data());
+    coarsen(descriptor.data(), kCoarseQueryLength, query.data());
+    int product = 0;
+    for (size_t k = 0; k < coarse.size(); ++k) {
+      EXPECT_LT(query[k], 128);
+      product += coarse[k] * query[k];
+    }
+    EXPECT_LT(product, 1 << 15);
+    EXPECT_GT(product, 25000);
   }
 }
 
