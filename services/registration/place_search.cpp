@@ -66,12 +66,12 @@ std::vector<Peak> best_peaks(BestPicture pictures, int rows, int columns, double
 }
 
 // Of each cell the largest of it and its eight neighbours: keyframes of a submap may lie a cell off each other, as the
-// odometry and whatever moved on the ground have it.
-void dilate(std::vector<float>& picture, int rows, int columns) {
+// odometry and whatever moved on the ground have it. `wide` is scratch space: large vectors cost more to get than to fill.
+void dilate(std::vector<float>& picture, int rows, int columns, std::vector<float>& wide) {
   const auto at = [columns](int row, int column) {
     return static_cast<size_t>(row) * static_cast<size_t>(columns) + static_cast<size_t>(column);
   };
-  std::vector<float> wide(picture.size());
+  wide.resize(picture.size());
   for (int row = 0; row < rows; ++row) {
     for (int column = 0; column < columns; ++column) {
       wide[at(row, column)] = std::max({picture[at(row, std::max(0, column - 1))], picture[at(row, column)],
@@ -192,7 +192,8 @@ CoarseLikelihood coarse_likelihood(const View& view, const MapIndex& index, cons
       }
     }
   }
-  for (std::vector<float>& picture : result.sums) dilate(picture, result.rows, result.columns);
+  std::vector<float> scratch;
+  for (std::vector<float>& picture : result.sums) dilate(picture, result.rows, result.columns, scratch);
   return result;
 }
 
@@ -203,8 +204,9 @@ std::vector<PlaceCandidate> best_coarse_places(const std::vector<ShiftedLikeliho
   const double yaw = keyframes.front().yaw;
   const CoarseLikelihood& newest = *keyframes.front().likelihood;
   BestPicture best(static_cast<size_t>(newest.rows) * static_cast<size_t>(newest.columns));
+  std::vector<float> sum;
   for (size_t h = 0; h < candidates.size(); ++h) {
-    std::vector<float> sum(best.value.size(), 0.0F);
+    sum.assign(best.value.size(), 0.0F);
     for (const ShiftedLikelihood& keyframe : keyframes) {
       const CoarseLikelihood& other = *keyframe.likelihood;
       const std::vector<float>& picture = other.sums[closest(other.alignments, keyframe.yaw, candidates[h], yaw)];
@@ -249,7 +251,7 @@ std::vector<PlaceCandidate> best_fine_places(const std::vector<const View*>& vie
   // Of each point, the features that any alignment and place puts it on are compared once.
   std::vector<Cell> first(candidates.size());
   std::vector<int> features, products;
-  std::vector<float> values;
+  std::vector<float> values, scratch;
   for (const View* view : views) {
     own.assign(candidates.size(), std::vector<float>(sums.front().size(), 0.0F));
     for (const ViewPoint& point : view->points) {
@@ -286,7 +288,7 @@ std::vector<PlaceCandidate> best_fine_places(const std::vector<const View*>& vie
       }
     }
     for (size_t h = 0; h < candidates.size(); ++h) {
-      dilate(own[h], side, side);
+      dilate(own[h], side, side, scratch);
       add(own[h].data(), own[h].size(), sums[h].data());
     }
   }
