@@ -356,12 +356,6 @@ void SubmapRegistrar::miss() {
   if (++without_fix_ < kDoubted || num_fixes_ >= kTaught || !fitted_yaw_) return;
   fitted_yaw_.reset();
   fitted_scale_.reset();
-  for (Remembered& keyframe : keyframes_) {
-    Variant again = described(keyframe.keyframe(), keyframe.image, 0);
-    keyframe.variants.clear();
-    keyframe.variants.push_back(std::move(again));
-  }
-  drop_old_fields();
 }
 
 void SubmapRegistrar::learn_from(const FittedPose& pose, size_t variant) {
@@ -423,6 +417,20 @@ std::vector<SubmapRegistrar::Candidate> SubmapRegistrar::fit_best_places() const
   return candidates;
 }
 
+void SubmapRegistrar::fit_again(Candidate& candidate) {
+  const size_t variant = candidate.place.variant;
+  PlaceFit& fit = candidate.fit;
+  if (!fit.ok) return;
+  const double fitted = keyframes_.front().variants[variant].view->yaw + fit.alignment.turn;
+  for (size_t k = 0; k < keyframes_.size() && k < static_cast<size_t>(options_.pose_keyframes); ++k) {
+    Remembered& remembered = keyframes_[k];
+    remembered.variants[variant] = described(remembered.keyframe(), remembered.image, wrap_angle(fitted - yaw()));
+  }
+  fit = fit_place(views(variant, options_.pose_keyframes), *index_, geometry_.metres_per_pixel, fit.en,
+                  {0, fit.alignment.scale}, prior_alignment(variant), fit_options());
+  if (!fit.ok) fit.inliers = 0;
+}
+
 double SubmapRegistrar::aligned_share(const Candidate& place) const {
   size_t points = 0;
   for (const View* view : views(place.place.variant, options_.pose_keyframes)) points += view->points.size();
@@ -441,9 +449,8 @@ Fix SubmapRegistrar::solve() {
     fix.reason = "no place on the map looks like the submap";
     return fix;
   }
-  const std::vector<Candidate> candidates = fit_best_places();
+  std::vector<Candidate> candidates = fit_best_places();
   const Candidate& best = candidates.front();
-  const View& newest = *views(best.place.variant, 1).front();
   fix.log_likelihood = best.place.likelihood;
   fix.log_likelihood_ratio = likelihood_ratio(best.place, best.fit.en);
   const PlaceFit& fit = best.fit;
@@ -452,6 +459,11 @@ Fix SubmapRegistrar::solve() {
   fix.reason = doubt({fix.log_likelihood, fix.log_likelihood_ratio, aligned_share(best), fix.num_inliers,
                       fix.num_second_inliers, is_nearby()},
                      options_);
+  if (fix.reason.empty() && best.place.variant > 0 && !options_.search_heading) {
+    fit_again(candidates.front());
+    fix.num_inliers = static_cast<int>(fit.inliers);
+  }
+  const View& newest = *views(best.place.variant, 1).front();
   // Fixes remember the ground; where there were none of late, the submap has to tell, of a place that is accepted.
   const bool remembered = ground_.known() && without_fix_ < options_.max_keyframes;
   GroundLevel ground =

@@ -149,6 +149,9 @@ class SubmapRegistrar {
   double aligned_share(const Candidate& place) const;
   // The best different places, the likeliest first by likelihood and aligned points; nearby, the best one.
   std::vector<Candidate> fit_best_places() const;
+  // A patch described under a heading that is off fits best where that heading puts it: describes what poses are made
+  // of under the heading that was fitted, and fits again.
+  void fit_again(Candidate& candidate);
   void miss();
   void learn_from(const FittedPose& pose, size_t variant);
 
