@@ -184,9 +184,10 @@ std::vector<double> SubmapRegistrar::turns() const {
 }
 
 SubmapRegistrar::Variant SubmapRegistrar::described(const Keyframe& keyframe, const cv::Mat& image, double turn) const {
-  return {std::make_unique<View>(make_view(keyframe, image, camera_, heading_of(keyframe.q_W_B) - yaw() - turn,
-                                           fitted_scale_.value_or(1.0), *index_, geometry_, options_.query)),
-          std::nullopt};
+  Variant variant;
+  variant.view = std::make_unique<View>(make_view(keyframe, image, camera_, heading_of(keyframe.q_W_B) - yaw() - turn,
+                                                  fitted_scale_.value_or(1.0), *index_, geometry_, options_.query));
+  return variant;
 }
 
 void SubmapRegistrar::describe_turned(const std::vector<double>& turns) {
