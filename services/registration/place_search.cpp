@@ -66,7 +66,8 @@ std::vector<Peak> best_peaks(BestPicture pictures, int rows, int columns, double
 }
 
 // Of each cell the largest of it and its eight neighbours: keyframes of a submap may lie a cell off each other, as the
-// odometry and whatever moved on the ground have it. `wide` is scratch space: large vectors cost more to get than to fill.
+// odometry and whatever moved on the ground have it. `wide` is scratch space: large vectors cost more to get than to
+// fill.
 void dilate(std::vector<float>& picture, int rows, int columns, std::vector<float>& wide) {
   const auto at = [columns](int row, int column) {
     return static_cast<size_t>(row) * static_cast<size_t>(columns) + static_cast<size_t>(column);

@@ -334,8 +334,9 @@ void run(const Arguments& arguments) {
       double begin = now_ms();
       if (uses_submap) {
         ++session;
-        const int others = is_arroio ? arguments.keyframes - 1 : 0;
-        for (const View& other : views_before(scene, *video, view, i, others, arguments.spacing)) {
+        std::vector<View> others;
+        if (video) others = views_before(scene, *video, view, i, arguments.keyframes - 1, arguments.spacing);
+        for (const View& other : others) {
           submap.describe(keyframe_at(other), session, other.image, {other.rotation + heading_error, heading_stddev});
         }
         begin = now_ms();
