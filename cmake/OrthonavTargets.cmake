@@ -21,6 +21,12 @@ if(ORTHONAV_SANITIZE)
   add_compile_options($<$<CXX_COMPILER_ID:GNU>:-fno-sanitize=vptr>)
 endif()
 
+# How many times as long as in a release build a test may take: instrumented ones are five to twenty times slower.
+set(ORTHONAV_TIME_FACTOR 1)
+if(ORTHONAV_SANITIZE)
+  set(ORTHONAV_TIME_FACTOR 20)
+endif()
+
 if(ORTHONAV_FUZZ)
   add_compile_options(-fsanitize=fuzzer-no-link)
 endif()
@@ -75,6 +81,7 @@ function(orthonav_test name)
   if(NOT ARG_TIMEOUT)
     set(ARG_TIMEOUT 120)
   endif()
+  math(EXPR limit "${ARG_TIMEOUT} * ${ORTHONAV_TIME_FACTOR}")
   add_executable(${name} ${ARG_SOURCES} ${CMAKE_SOURCE_DIR}/tests/support/main.cpp)
   target_link_libraries(${name} PRIVATE ${ARG_LINKS} GTest::gmock)
   orthonav_compile_options(${name})
@@ -89,5 +96,14 @@ function(orthonav_test name)
   target_compile_definitions(${name} PRIVATE
     ORTHONAV_BIN="${CMAKE_BINARY_DIR}/bin" ORTHONAV_SOURCE="${CMAKE_SOURCE_DIR}")
   gtest_discover_tests(${name} DISCOVERY_TIMEOUT 60
-    PROPERTIES TIMEOUT ${ARG_TIMEOUT} LABELS "${ARG_LABELS}" FIXTURES_REQUIRED "${ARG_FIXTURE}" RUN_SERIAL "${ARG_ALONE}")
+    PROPERTIES TIMEOUT ${limit} LABELS "${ARG_LABELS}" FIXTURES_REQUIRED "${ARG_FIXTURE}" RUN_SERIAL "${ARG_ALONE}")
+endfunction()
+
+# orthonav_script_test(name TIMEOUT s COMMAND program argument... [PROPERTIES property value ...]): a test that is a
+# script; it says with exit code 77 that this machine does not permit it.
+function(orthonav_script_test name)
+  cmake_parse_arguments(ARG "" "TIMEOUT" "COMMAND;PROPERTIES" ${ARGN})
+  add_test(NAME ${name} COMMAND ${ARG_COMMAND})
+  math(EXPR limit "${ARG_TIMEOUT} * ${ORTHONAV_TIME_FACTOR}")
+  set_tests_properties(${name} PROPERTIES TIMEOUT ${limit} SKIP_RETURN_CODE 77 ${ARG_PROPERTIES})
 endfunction()

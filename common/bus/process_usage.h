@@ -12,9 +12,10 @@ class ProcessUsage {
   double cpu_percent();
   // Resident memory now, bytes; 0 where /proc cannot be read.
   static double resident_bytes();
+  // Processor time of the process so far, all threads.
+  static double cpu_seconds();
 
  private:
-  static double cpu_seconds();
   double last_cpu_ = cpu_seconds();
   std::chrono::steady_clock::time_point last_ = std::chrono::steady_clock::now();
 };

@@ -77,7 +77,10 @@ MapDatabaseWriter::MapDatabaseWriter(const std::filesystem::path& file, const st
 
 MapDatabaseWriter::~MapDatabaseWriter() {
   if (num_blocks_ == 0) discard();  // nothing to go on from
-  if (lock_ >= 0) ::close(lock_);
+}
+
+MapDatabaseWriter::Lock::~Lock() {
+  if (fd >= 0) ::close(fd);
 }
 
 void MapDatabaseWriter::fail(const std::string& what) const {
@@ -85,22 +88,26 @@ void MapDatabaseWriter::fail(const std::string& what) const {
       fmt::format("cannot {} map database {}: {}", what, file_.string(), std::generic_category().message(errno)));
 }
 
+void MapDatabaseWriter::fail_to_write() const {
+  throw MapDatabaseError(fmt::format("cannot write map database {}: is the disk full?", file_.string()));
+}
+
 // The journal is the lock. Whoever held it before may have finished and removed it meanwhile: then the name belongs to
 // another file, or to none, than the one that is locked now.
 void MapDatabaseWriter::lock() {
   for (;;) {
-    lock_ = ::open(journal_file_.c_str(), O_RDWR | O_CREAT | O_CLOEXEC, 0644);
-    if (lock_ < 0) fail("create");
-    if (::flock(lock_, LOCK_EX | LOCK_NB) != 0) {
+    lock_.fd = ::open(journal_file_.c_str(), O_RDWR | O_CREAT | O_CLOEXEC, 0644);
+    if (lock_.fd < 0) fail("create");
+    if (::flock(lock_.fd, LOCK_EX | LOCK_NB) != 0) {
       spdlog::info("waiting for another program that builds {}", file_.string());
-      if (::flock(lock_, LOCK_EX) != 0) fail("lock");
+      if (::flock(lock_.fd, LOCK_EX) != 0) fail("lock");
     }
     struct stat locked {};
     struct stat named {};
-    if (::fstat(lock_, &locked) == 0 && ::stat(journal_file_.c_str(), &named) == 0 && locked.st_ino == named.st_ino) {
+    if (::fstat(lock_.fd, &locked) == 0 && ::stat(journal_file_.c_str(), &named) == 0 && locked.st_ino == named.st_ino) {
       return;
     }
-    ::close(lock_);
+    ::close(lock_.fd);
   }
 }
 
@@ -161,7 +168,10 @@ void MapDatabaseWriter::resume() {
     }
   }
   if (good == 0) {
-    std::ofstream(journal_file_, std::ios::binary | std::ios::trunc) << head;
+    std::ofstream fresh(journal_file_, std::ios::binary | std::ios::trunc);
+    fresh << head;
+    fresh.close();
+    if (!fresh) fail_to_write();
     good = head.size();
   }
   std::ofstream(unfinished_, std::ios::binary | std::ios::app).close();  // made where it is missing
@@ -216,9 +226,7 @@ void MapDatabaseWriter::write_block(const std::vector<NumberedTile>& tiles) {
                  static_cast<std::streamsize>(block.tiles.size() * sizeof(WrittenTile)));
   journal_.write(reinterpret_cast<const char*>(&checksum), sizeof(checksum));
   journal_.flush();
-  if (!data_ || !journal_) {
-    throw MapDatabaseError(fmt::format("cannot write map database {}: is the disk full?", file_.string()));
-  }
+  if (!data_ || !journal_) fail_to_write();
   apply(block);
 }
 
@@ -230,7 +238,7 @@ void MapDatabaseWriter::finish() {
   data_.seekp(0);
   data_.write(head.data(), static_cast<std::streamsize>(head.size()));
   data_.close();
-  if (!data_) throw MapDatabaseError(fmt::format("cannot write map database {}: is the disk full?", file_.string()));
+  if (!data_) fail_to_write();
   std::error_code error;
   std::filesystem::rename(unfinished_, file_, error);
   if (error) throw MapDatabaseError(fmt::format("cannot write map database {}: {}", file_.string(), error.message()));

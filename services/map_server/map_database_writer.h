@@ -51,12 +51,18 @@ class MapDatabaseWriter {
 
  private:
   struct Block;
+  // An open file that is locked; let go with the writer, also one whose construction failed.
+  struct Lock {
+    int fd = -1;
+    ~Lock();
+  };
   void lock();
   void resume();
   bool read_block(std::ifstream& journal, std::ifstream& data, Block& block) const;
   void apply(const Block& block);
   size_t entry_of(int level, int index) const;
   [[noreturn]] void fail(const std::string& what) const;
+  [[noreturn]] void fail_to_write() const;
 
   std::filesystem::path file_;
   std::filesystem::path unfinished_;
@@ -66,7 +72,7 @@ class MapDatabaseWriter {
   std::vector<int64_t> left_out_;  // of the block being written: two numbers a level
   std::ofstream data_;
   std::ofstream journal_;
-  int lock_ = -1;
+  Lock lock_;
   uint64_t end_ = 0;
   int64_t num_blocks_ = 0;
 };

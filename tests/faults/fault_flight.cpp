@@ -43,6 +43,7 @@ struct Arguments {
   std::filesystem::path config, log, map;
   std::filesystem::path twice;       // the same flight with twice the images, or none
   std::filesystem::path small_disk;  // a folder on a file system that a recording of the flight fills, or none
+  std::filesystem::path raster;      // what `map` was built from, or none
   std::filesystem::path faketime;    // libfaketime, or none
   double strike = 25, length = 55;
   int garbage = 1'000'000, absurd = 100'000;
@@ -82,6 +83,10 @@ class Flight {
       running_.at(service).arguments = {test::program("orthonav-ingest"), "--config", arguments_.config, "--log",
                                         rest()};
     running_.at(service).process->signal(SIGKILL);
+  }
+  void give(const std::string& service, const std::string& option, const std::string& value) {
+    auto& arguments = running_.at(service).arguments;
+    *std::next(std::find(arguments.begin(), arguments.end(), option)) = value;
   }
   void signal(const std::string& service, int number) { running_.at(service).process->signal(number); }
   void start_second_ingest() { start("ingest", {"--log", log_}, "second ingest"); }
@@ -248,6 +253,17 @@ void flood(Flight& flight, const Arguments& arguments, int count, const std::fun
   }
 }
 
+// Writes to a file until its disk is full.
+void fill(const std::filesystem::path& file) {
+  std::ofstream stream(file, std::ios::binary);
+  const std::string block(1 << 16, '\0');
+  while (stream.write(block.data(), static_cast<std::streamsize>(block.size())).flush()) {
+  }
+}
+void empty(const std::filesystem::path& folder) {
+  for (const auto& entry : std::filesystem::directory_iterator(folder)) std::filesystem::remove_all(entry);
+}
+
 // The log with every second image left out.
 std::filesystem::path half_the_images(const std::filesystem::path& log, const std::filesystem::path& out) {
   LogReader reader(log);
@@ -290,7 +306,26 @@ std::vector<Fault> all_faults(const Arguments& arguments, const std::filesystem:
   if (!arguments.twice.empty()) faults.push_back({"twice the images", [](Flight&) {}, arguments.twice});
   if (!arguments.small_disk.empty()) {
     faults.push_back({"disk full under the recorder",
-                      [&arguments](Flight& f) { f.start_logger(arguments.small_disk / "flight.lcm"); }});
+                      [&arguments](Flight& f) { f.start_logger(arguments.small_disk / "flight.lcm"); },
+                      {},
+                      [&arguments] { empty(arguments.small_disk); }});
+  }
+  if (!arguments.small_disk.empty() && !arguments.raster.empty()) {
+    faults.push_back({"map cache on a full disk for 10 s",
+                      [&arguments](Flight& f) {
+                        const auto raster = arguments.small_disk / arguments.raster.filename();
+                        const auto ballast = arguments.small_disk / "ballast";
+                        std::filesystem::copy_file(arguments.raster, raster);
+                        const auto heights = std::filesystem::path(arguments.raster).replace_extension(".dem.tif");
+                        std::filesystem::copy_file(heights, arguments.small_disk / heights.filename());
+                        fill(ballast);
+                        f.give("map_server", "--map", raster);
+                        f.kill("map_server");
+                        f.pass(10);
+                        std::filesystem::remove(ballast);
+                      },
+                      {},
+                      [&arguments] { empty(arguments.small_disk); }});
   }
   if (!arguments.faketime.empty()) {
     const auto offset = folder / "offset";
@@ -348,6 +383,7 @@ int main(int argc, char** argv) {
   app.add_option("--map", arguments.map)->required()->check(CLI::ExistingFile);
   app.add_option("--twice", arguments.twice, "the flight with twice the images")->check(CLI::ExistingFile);
   app.add_option("--small-disk", arguments.small_disk, "folder that a recording fills")->check(CLI::ExistingDirectory);
+  app.add_option("--raster", arguments.raster, "what the map was built from")->check(CLI::ExistingFile);
   app.add_option("--faketime", arguments.faketime, "libfaketime.so.1")->check(CLI::ExistingFile);
   app.add_option("--strike", arguments.strike, "s into the flight")->capture_default_str();
   app.add_option("--length", arguments.length, "s of the flight that are flown")->capture_default_str();

@@ -1,11 +1,13 @@
 #include "services/map_server/map_database.h"
 
+#include <csignal>
 #include <filesystem>
 #include <fstream>
 #include <future>
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
+#include <sys/resource.h>
 
 #include "services/map_server/map_database_writer.h"
 #include "tests/support/temporary_folder.h"
@@ -13,6 +15,7 @@
 namespace orthonav::map_server {
 namespace {
 
+using testing::AnyOf;
 using testing::HasSubstr;
 
 MapDescription small_map() {
@@ -244,6 +247,42 @@ TEST_F(MapDatabaseBuild, KeepsNoBlockThatDoesNotHold) {
   damaged[damaged.size() - 2 * 140 - 1] ^= 4;  // of the first block
   restore(damaged, journal);
   EXPECT_EQ(go_on(), 0);
+  EXPECT_EQ(bytes_of(file_), whole_);
+}
+
+// A disk that takes no more than `bytes` of a file, for as long as this lives.
+class SmallDisk {
+ public:
+  explicit SmallDisk(size_t bytes) {
+    getrlimit(RLIMIT_FSIZE, &before_);
+    std::signal(SIGXFSZ, SIG_IGN);  // the write fails instead
+    const rlimit limit{bytes, before_.rlim_max};
+    setrlimit(RLIMIT_FSIZE, &limit);
+  }
+  ~SmallDisk() {
+    setrlimit(RLIMIT_FSIZE, &before_);
+    std::signal(SIGXFSZ, SIG_DFL);
+  }
+  SmallDisk(const SmallDisk&) = delete;
+  SmallDisk& operator=(const SmallDisk&) = delete;
+
+ private:
+  rlimit before_{};
+};
+
+TEST_F(MapDatabaseBuild, ThatFillsTheDiskSaysSoAndGoesOnWhenThereIsRoom) {
+  for (size_t room = 0; room < whole_.size(); room += whole_.size() / 20) {
+    try {
+      const SmallDisk disk(room);
+      go_on();
+      ADD_FAILURE() << "a map of " << whole_.size() << " bytes was written to " << room;
+    } catch (const MapDatabaseError& error) {
+      EXPECT_THAT(error.what(), HasSubstr("resumed.onmap"));
+      EXPECT_THAT(error.what(), AnyOf(HasSubstr("disk full"), HasSubstr("File too large"))) << room;
+    }
+    EXPECT_FALSE(std::filesystem::exists(file_)) << "an unfinished build must not look like a map";
+  }
+  EXPECT_GT(go_on(), 0);
   EXPECT_EQ(bytes_of(file_), whole_);
 }
 

@@ -26,12 +26,18 @@ namespace {
 namespace fs = std::filesystem;
 using test::flight_folder;
 
-void fly(const fs::path& log, const fs::path& out) {
+replay::ReplayOptions flight_to(const fs::path& out) {
   replay::ReplayOptions options;
   options.config = test::flight_config();
-  options.log = log;
+  options.log = test::flight_log();
   options.map = test::flight_map();
   options.out = out;
+  return options;
+}
+
+void fly(const fs::path& log, const fs::path& out) {
+  auto options = flight_to(out);
+  options.log = log;
   replay::replay(options);
 }
 
@@ -142,6 +148,29 @@ TEST(Replay, BadInputIsSurvivedWithoutLosingThePosition) {
 }
 
 // Seconds from a service's end until positions are map-aided for good.
+TEST(Replay, TheSameServicesFlyAgainFromWhereTheyTookOff) {
+  const test::TemporaryFolder folder;
+  auto options = flight_to(folder / "second.lcm");
+  std::vector<replay::LoopSummary> flights;
+  options.loops = 2;
+  options.landed = [&](const replay::LoopSummary& flight) { flights.push_back(flight); };
+  const auto summary = replay::replay(options);
+  ASSERT_EQ(flights.size(), 2u);
+  EXPECT_NEAR(flights[0].hours * 3600, 60, 0.2);
+  EXPECT_NEAR(summary.flight_seconds, 130, 0.4);
+  EXPECT_EQ(flights[0].sessions, 1);
+  EXPECT_EQ(flights[1].sessions, 2);
+  EXPECT_GT(flights[1].aided_percent, 60);
+  EXPECT_GT(flights[1].cpu_ms, 0);
+  EXPECT_LT(flights[1].resident_mb, 1.2 * flights[0].resident_mb);
+  // The log is the second flight's alone.
+  const auto images = events_of(folder / "second.lcm", channel::kCamera);
+  EXPECT_EQ(images.size(), events_of(test::flight_log(), channel::kCamera).size());
+  const auto report = test::evaluate(folder / "second.lcm");
+  EXPECT_EQ(report["registration"]["false_fixes"].get<int>(), 0);
+  EXPECT_LT(report["fusion"]["rmse_m"].get<double>(), 3.76);
+}
+
 struct Recovery {
   double seconds = 0;
   int resets = 0;
@@ -151,11 +180,7 @@ struct Recovery {
 Recovery kill(const std::string& service, double at) {
   const test::TemporaryFolder folder;
   const fs::path out = folder / "killed.lcm", memory = folder / "memory";
-  replay::ReplayOptions options;
-  options.config = test::flight_config();
-  options.log = test::flight_log();
-  options.map = test::flight_map();
-  options.out = out;
+  auto options = flight_to(out);
   options.memory = memory;
   options.restarts = {{.service = service, .at = at}};
   replay::replay(options);

@@ -15,6 +15,7 @@ int main(int argc, char** argv) {
   CLI::App app{"Flies a log through all services in one process, as fast as the machine allows, repeatably."};
   orthonav::replay::ReplayOptions options;
   bool timings = false;
+  int loops = 0;
   app.add_option("--config", options.config,
                  "folder of the aircraft or scenario, e.g. config/rural (with --asl: may be left out, for the odometry "
                  "alone with its default parameters)")
@@ -36,6 +37,10 @@ int main(int argc, char** argv) {
       ->delimiter(',');
   app.add_option("--memory", options.memory,
                  "folder where vio and fusion keep what they go on with after a restart (default: none)");
+  app.add_option("--loops", loops,
+                 "fly the source so many times in a row with the same services, and print what each cost; --out holds "
+                 "the last")
+      ->check(CLI::PositiveNumber);
   app.add_flag("--timings", timings, "fill in the processing times, which makes the output differ from run to run");
   CLI11_PARSE(app, argc, argv);
   if (!options.asl.empty()) {
@@ -54,6 +59,16 @@ int main(int argc, char** argv) {
       return 2;
     }
     options.restarts.push_back({.service = text.substr(0, at), .at = seconds});
+  }
+  if (loops > 0) {
+    options.loops = loops;
+    std::printf("%8s %14s %12s %10s %9s\n", "hours", "cpu ms/image", "resident MB", "map-aided", "sessions");
+    options.landed = [](const orthonav::replay::LoopSummary& loop) {
+      std::fprintf(stderr, "\r");
+      std::printf("%8.2f %14.1f %12.1f %8.1f %% %9d\n", loop.hours, loop.cpu_ms, loop.resident_mb, loop.aided_percent,
+                  loop.sessions);
+      std::fflush(stdout);
+    };
   }
   timings = timings || !options.times.empty();
   spdlog::set_default_logger(spdlog::stderr_color_mt("replay"));

@@ -4,6 +4,7 @@
 #include <fstream>
 #include <memory>
 #include <optional>
+#include <set>
 #include <stdexcept>
 #include <vector>
 
@@ -12,7 +13,9 @@
 
 #include "common/bus/channels.h"
 #include "common/bus/node.h"
+#include "common/bus/process_usage.h"
 #include "common/flightlog/flightlog.h"
+#include "orthonav/nav_state_t.hpp"
 #include "orthonav/vio_state_t.hpp"
 #include "services/fusion/fusion_service.h"
 #include "services/ingest/ingest_service.h"
@@ -25,12 +28,18 @@ namespace orthonav::replay {
 
 namespace {
 
+// A stamp further ahead is out of order: the validator's to judge, and not to move the clock of everybody else.
+constexpr int64_t kAnHour = 3'600'000'000;
+
 // Writes everything on the bus, stamped with the data's time.
 class Recorder {
  public:
-  Recorder(lcm::LCM& bus, const std::filesystem::path& file) {
+  explicit Recorder(lcm::LCM& bus) { bus.subscribe(".*", &Recorder::record, this)->setQueueCapacity(0); }
+
+  // Begins a new log, in place of the last one.
+  void begin(const std::filesystem::path& file) {
+    writer_.reset();
     if (!file.empty()) writer_.emplace(file);
-    bus.subscribe(".*", &Recorder::record, this)->setQueueCapacity(0);
   }
 
   int64_t utime = 0;
@@ -81,6 +90,78 @@ class OdometryText {
   int session_ = 0;
 };
 
+// A source flown again and again: each time begins after the one before it, and the clock goes on.
+class Repeated {
+ public:
+  Repeated(ingest::IngestOptions options, int loops) : options_(std::move(options)), left_(loops) { next_flight(); }
+
+  // Begins another flight; false when there is none left.
+  bool next_flight() {
+    if (left_ <= 0) return false;
+    --left_;
+    source_ = ingest::make_source(options_);
+    if (last_ != 0) begin_ = last_ + 10'000'000;
+    first_.reset();
+    return true;
+  }
+  std::optional<ingest::SensorEvent> next() {
+    auto event = source_->next();
+    if (!event || !event->message) return event;
+    std::visit(
+        [&](auto& message) {
+          if (!first_) first_ = message.utime;
+          if (begin_) message.utime += *begin_ - *first_;
+          if (last_ == 0 || (message.utime > last_ && message.utime - last_ < kAnHour)) last_ = message.utime;
+        },
+        *event->message);
+    return event;
+  }
+  double progress() const { return source_->progress(); }
+
+ private:
+  const ingest::IngestOptions options_;
+  int left_;
+  std::unique_ptr<ingest::SensorSource> source_;
+  int64_t last_ = 0;              // newest stamp
+  std::optional<int64_t> first_;  // stamp in the source with which this flight begins
+  std::optional<int64_t> begin_;  // what it is made, after the first flight
+};
+
+// What the flights so far have cost and reached.
+class Landings {
+ public:
+  explicit Landings(lcm::LCM& bus) {
+    bus.subscribe(channel::kVioState, &Landings::hear_odometry, this)->setQueueCapacity(0);
+    bus.subscribe(channel::kNavState, &Landings::hear_fusion, this)->setQueueCapacity(0);
+  }
+
+  LoopSummary land(double seconds) {
+    const double cpu_seconds = ProcessUsage::cpu_seconds();
+    const LoopSummary summary{.hours = seconds / 3600,
+                              .cpu_ms = 1e3 * (cpu_seconds - cpu_seconds_) / std::max(1, images_),
+                              .resident_mb = 1e-6 * ProcessUsage::resident_bytes(),
+                              .aided_percent = 100.0 * aided_ / std::max(1, states_),
+                              .sessions = static_cast<int>(sessions_.size())};
+    cpu_seconds_ = cpu_seconds;
+    images_ = states_ = aided_ = 0;
+    return summary;
+  }
+
+ private:
+  void hear_odometry(const lcm::ReceiveBuffer*, const std::string&, const vio_state_t* state) {
+    ++images_;
+    if (state->status != vio_state_t::INITIALISING) sessions_.insert(state->session);
+  }
+  void hear_fusion(const lcm::ReceiveBuffer*, const std::string&, const nav_state_t* state) {
+    ++states_;
+    aided_ += state->mode == nav_state_t::MAP_AIDED ? 1 : 0;
+  }
+
+  double cpu_seconds_ = 0;
+  int images_ = 0, states_ = 0, aided_ = 0;
+  std::set<int> sessions_;
+};
+
 // A service, and when it ends and begins again.
 struct Running {
   using Start = std::function<std::unique_ptr<Service>(Node&)>;
@@ -129,7 +210,8 @@ void schedule(std::vector<Restart> restarts, std::vector<Running>& running) {
 
 ReplaySummary replay(const ReplayOptions& options) {
   lcm::LCM bus("memq://");
-  Recorder recorder(bus, options.out);
+  Recorder recorder(bus);
+  Landings landings(bus);
   OdometryText text(bus, options.trajectory, options.times);
   Node ingest_node({.service = "ingest"}, bus);
   std::vector<Running> running;
@@ -137,7 +219,7 @@ ReplaySummary replay(const ReplayOptions& options) {
   ingest::IngestOptions source_options;
   source_options.log = options.log;
   source_options.asl = options.asl;
-  const auto source = ingest::make_source(source_options);
+  Repeated source(source_options, options.loops);
   ingest::Validator validator;
   ingest::Compass compass = ingest::Compass::load(options.config);
   ingest_node.health().set_state(Health::State::kOk);
@@ -175,25 +257,28 @@ ReplaySummary replay(const ReplayOptions& options) {
     }
   };
   int64_t first = 0, reported = 0;
-  while (const auto event = source->next()) {
-    if (event->message) {
-      const int64_t utime = ingest::utime_of(*event->message);
-      // A stamp out of order is the validator's to judge; it must not move the clock of everybody else.
-      if (first == 0) first = recorder.utime = utime;
-      if (utime > recorder.utime && utime - recorder.utime < 3'600'000'000) recorder.utime = utime;
-      ingest_node.advance(recorder.utime);
-      for (Running& service : running)
-        service.advance(bus, recorder.utime, 1e-6 * static_cast<double>(recorder.utime - first));
+  const auto flown = [&] { return static_cast<double>(recorder.utime - first) * 1e-6; };
+  do {
+    recorder.begin(options.out);
+    while (const auto event = source.next()) {
+      if (event->message) {
+        const int64_t utime = ingest::utime_of(*event->message);
+        if (first == 0) first = recorder.utime = utime;
+        if (utime > recorder.utime && utime - recorder.utime < kAnHour) recorder.utime = utime;
+        ingest_node.advance(recorder.utime);
+        for (Running& service : running) service.advance(bus, recorder.utime, flown());
+        settle();
+      }
+      ingest::publish_checked(ingest_node, validator, compass, *event);
       settle();
+      if (options.progress && recorder.utime - reported >= 1'000'000) {
+        reported = recorder.utime;
+        options.progress(source.progress());
+      }
     }
-    ingest::publish_checked(ingest_node, validator, compass, *event);
-    settle();
-    if (options.progress && recorder.utime - reported >= 1'000'000) {
-      reported = recorder.utime;
-      options.progress(source->progress());
-    }
-  }
-  return {static_cast<double>(recorder.utime - first) * 1e-6, recorder.messages};
+    if (options.landed) options.landed(landings.land(flown()));
+  } while (source.next_flight());
+  return {flown(), recorder.messages};
 }
 
 }  // namespace orthonav::replay
