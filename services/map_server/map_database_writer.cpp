@@ -104,7 +104,8 @@ void MapDatabaseWriter::lock() {
     }
     struct stat locked {};
     struct stat named {};
-    if (::fstat(lock_.fd, &locked) == 0 && ::stat(journal_file_.c_str(), &named) == 0 && locked.st_ino == named.st_ino) {
+    if (::fstat(lock_.fd, &locked) == 0 && ::stat(journal_file_.c_str(), &named) == 0 &&
+        locked.st_ino == named.st_ino) {
       return;
     }
     ::close(lock_.fd);

@@ -55,8 +55,9 @@ void coarse_products_any(const uint8_t* query, const uint8_t* row, size_t stride
 __attribute__((target("avx2"))) void coarse_products_avx2(const uint8_t* query, const uint8_t* row, size_t stride,
                                                           size_t count, uint16_t* out) {
   constexpr size_t kLanes = 16, kBlock = 4 * kLanes;  // four sums stay in registers while the pairs pass
-  size_t first = 0;
-  for (; first + kBlock <= count; first += kBlock) {
+  if (count < kBlock) return coarse_products_any(query, row, stride, count, out);
+  for (size_t next = 0; next < count; next += kBlock) {
+    const size_t first = std::min(next, count - kBlock);  // the last block overlaps the one before it
     __m256i sums[4] = {_mm256_setzero_si256(), _mm256_setzero_si256(), _mm256_setzero_si256(),  // NOLINT: registers
                        _mm256_setzero_si256()};
     for (size_t k = 0; k < kCoarseBytes; k += 2) {
@@ -71,47 +72,96 @@ __attribute__((target("avx2"))) void coarse_products_avx2(const uint8_t* query, 
       _mm256_storeu_si256(reinterpret_cast<__m256i*>(out + first + kLanes * i), sums[i]);
     }
   }
-  coarse_products_any(query, row + 2 * first, stride, count - first, out + first);
 }
 #endif
 
 ORTHONAV_INLINE void evidence_loop(const uint16_t* products, const float* scales, const float* offsets, size_t count,
-                                   const EvidenceLine& line, float* out) {
+                                   const EvidenceLine& line, float levels, uint8_t* out) {
   const EvidenceLine l = line;
-  for (size_t i = 0; i < count; ++i) out[i] = l.evidence(products[i], scales[i], offsets[i]);
+  for (size_t i = 0; i < count; ++i) {
+    out[i] = static_cast<uint8_t>(static_cast<int32_t>(levels * l.evidence(products[i], scales[i], offsets[i]) + 0.5F));
+  }
+}
+
+ORTHONAV_INLINE void evidence_at_loop(const int32_t* products, const int* which, const MapIndex::Centring* centring,
+                                      size_t count, const EvidenceLine& line, float* out) {
+  const EvidenceLine l = line;
+  for (size_t i = 0; i < count; ++i) {
+    const MapIndex::Centring& c = centring[std::max(which[i], 0)];
+    const float value = l.evidence(static_cast<float>(products[i]), c.scale, c.offset);
+    out[i] = which[i] < 0 ? 0.0F : value;
+  }
+}
+
+template <class Value>
+ORTHONAV_INLINE void largest_loop(const Value* a, const Value* b, const Value* c, size_t count, Value* out) {
+  for (size_t i = 0; i < count; ++i) {
+    const Value ab = a[i] > b[i] ? a[i] : b[i];
+    out[i] = ab > c[i] ? ab : c[i];
+  }
 }
 
 ORTHONAV_INLINE void add_loop(const float* values, size_t count, float* sum) {
   for (size_t i = 0; i < count; ++i) sum[i] += values[i];
 }
+ORTHONAV_INLINE void add_bytes_loop(const uint8_t* values, size_t count, uint16_t* sum) {
+  for (size_t i = 0; i < count; ++i) sum[i] = static_cast<uint16_t>(sum[i] + values[i]);
+}
+ORTHONAV_INLINE void add_words_loop(const uint16_t* values, float unit, size_t count, float* sum) {
+  for (size_t i = 0; i < count; ++i) sum[i] += unit * static_cast<float>(values[i]);
+}
 
 struct Functions {
+  decltype(&coarse_products_any) coarse_products;
   int32_t (*dot_product)(const uint8_t*, const uint8_t*);
   void (*dot_products)(const uint8_t*, const uint8_t*, const int*, size_t, int32_t*);
-  void (*coarse_products)(const uint8_t*, const uint8_t*, size_t, size_t, uint16_t*);
-  void (*evidence)(const uint16_t*, const float*, const float*, size_t, const EvidenceLine&, float*);
+  void (*evidence)(const uint16_t*, const float*, const float*, size_t, const EvidenceLine&, float, uint8_t*);
+  void (*evidence_at)(const int32_t*, const int*, const MapIndex::Centring*, size_t, const EvidenceLine&, float*);
+  void (*largest)(const float*, const float*, const float*, size_t, float*);
+  void (*largest_words)(const uint16_t*, const uint16_t*, const uint16_t*, size_t, uint16_t*);
   void (*add)(const float*, size_t, float*);
+  void (*add_bytes)(const uint8_t*, size_t, uint16_t*);
+  void (*add_words)(const uint16_t*, float, size_t, float*);
 };
 
-// One set of functions for an instruction set; `attribute` is the one that asks for it.
-#define ORTHONAV_FUNCTIONS(suffix, attribute)                                                                      \
-  __attribute__((attribute)) int32_t dot_product_##suffix(const uint8_t* a, const uint8_t* b) {                    \
-    return dot_product_loop(a, b);                                                                                 \
-  }                                                                                                                \
-  __attribute__((attribute)) void dot_products_##suffix(const uint8_t* query, const uint8_t* descriptors,          \
-                                                        const int* which, size_t count, int32_t* out) {            \
-    dot_products_loop(query, descriptors, which, count, out);                                                      \
-  }                                                                                                                \
-  __attribute__((attribute)) void evidence_##suffix(const uint16_t* products, const float* scales,                 \
-                                                    const float* offsets, size_t count, const EvidenceLine& line,  \
-                                                    float* out) {                                                  \
-    evidence_loop(products, scales, offsets, count, line, out);                                                    \
-  }                                                                                                                \
-  __attribute__((attribute)) void add_##suffix(const float* values, size_t count, float* sum) {                    \
-    add_loop(values, count, sum);                                                                                  \
-  }                                                                                                                \
-  constexpr Functions functions_##suffix = {dot_product_##suffix, dot_products_##suffix, coarse_products_##suffix, \
-                                            evidence_##suffix, add_##suffix};
+// One set of functions for an instruction set; `attribute` is the one that asks for it. A lambda's attribute stands
+// behind its parameters.
+#define ORTHONAV_FUNCTIONS(suffix, attribute)                                                                       \
+  constexpr Functions functions_##suffix = {coarse_products_##suffix,                                               \
+                                            [](const uint8_t* a, const uint8_t* b)                                  \
+                                                __attribute__((attribute)){return dot_product_loop(a, b);           \
+  }                                                                                                                 \
+  , [](const uint8_t* query, const uint8_t* descriptors, const int* which, size_t count, int32_t* out)              \
+        __attribute__((attribute)) {                                                                                \
+    dot_products_loop(query, descriptors, which, count, out);                                                       \
+  }                                                                                                                 \
+  , [](const uint16_t* products, const float* scales, const float* offsets, size_t count, const EvidenceLine& line, \
+       float levels, uint8_t* out) __attribute__((attribute)) {                                                     \
+    evidence_loop(products, scales, offsets, count, line, levels, out);                                             \
+  }                                                                                                                 \
+  , [](const int32_t* products, const int* which, const MapIndex::Centring* centring, size_t count,                 \
+       const EvidenceLine& line, float* out) __attribute__((attribute)) {                                           \
+    evidence_at_loop(products, which, centring, count, line, out);                                                  \
+  }                                                                                                                 \
+  , [](const float* a, const float* b, const float* c, size_t count, float* out) __attribute__((attribute)) {       \
+    largest_loop(a, b, c, count, out);                                                                              \
+  }                                                                                                                 \
+  , [](const uint16_t* a, const uint16_t* b, const uint16_t* c, size_t count, uint16_t* out)                        \
+        __attribute__((attribute)) {                                                                                \
+    largest_loop(a, b, c, count, out);                                                                              \
+  }                                                                                                                 \
+  , [](const float* values, size_t count, float* sum) __attribute__((attribute)) {                                  \
+    add_loop(values, count, sum);                                                                                   \
+  }                                                                                                                 \
+  , [](const uint8_t* values, size_t count, uint16_t* sum) __attribute__((attribute)) {                             \
+    add_bytes_loop(values, count, sum);                                                                             \
+  }                                                                                                                 \
+  , [](const uint16_t* values, float unit, size_t count, float* sum) __attribute__((attribute)) {                   \
+    add_words_loop(values, unit, count, sum);                                                                       \
+  }                                                                                                                 \
+  ,                                                                                                                 \
+  }                                                                                                                 \
+  ;
 
 ORTHONAV_FUNCTIONS(any, )
 #if defined(__x86_64__)
@@ -141,12 +191,33 @@ void coarse_products(const uint8_t* query, const uint8_t* row, size_t stride, si
 }
 
 void evidence_of(const uint16_t* products, const float* scales, const float* offsets, size_t count,
+                 const EvidenceLine& line, float levels, uint8_t* out) {
+  functions().evidence(products, scales, offsets, count, line, levels, out);
+}
+
+void evidence_of(const int32_t* products, const int* which, const MapIndex::Centring* centring, size_t count,
                  const EvidenceLine& line, float* out) {
-  functions().evidence(products, scales, offsets, count, line, out);
+  functions().evidence_at(products, which, centring, count, line, out);
+}
+
+void largest_of(const float* a, const float* b, const float* c, size_t count, float* out) {
+  functions().largest(a, b, c, count, out);
+}
+
+void largest_of(const uint16_t* a, const uint16_t* b, const uint16_t* c, size_t count, uint16_t* out) {
+  functions().largest_words(a, b, c, count, out);
 }
 
 void add(const float* values, size_t count, float* sum) {
   functions().add(values, count, sum);
+}
+
+void add(const uint8_t* values, size_t count, uint16_t* sum) {
+  functions().add_bytes(values, count, sum);
+}
+
+void add(const uint16_t* values, float unit, size_t count, float* sum) {
+  functions().add_words(values, unit, count, sum);
 }
 
 }  // namespace orthonav::registration

@@ -19,7 +19,7 @@ void dot_products(const uint8_t* query, const uint8_t* descriptors, const int* w
 // at the first column's first two components; the pairs of a column are 2 `stride` bytes apart.
 void coarse_products(const uint8_t* query, const uint8_t* row, size_t stride, size_t count, uint16_t* out);
 
-// What products say: out[i] = line.evidence(products[i], scales[i], offsets[i]).
+// What a product says.
 struct EvidenceLine {
   float a = 0, b = 1, c = 0, most = 0;
 
@@ -29,10 +29,23 @@ struct EvidenceLine {
     return excess * excess;
   }
 };
+// out[i] = levels * line.evidence(products[i], scales[i], offsets[i]), to the nearest; `levels` times the most that the
+// line can say must not exceed 255.
 void evidence_of(const uint16_t* products, const float* scales, const float* offsets, size_t count,
+                 const EvidenceLine& line, float levels, uint8_t* out);
+
+// out[i] = line.evidence(products[i], ...) of the feature of number which[i], 0 where that is negative.
+void evidence_of(const int32_t* products, const int* which, const MapIndex::Centring* centring, size_t count,
                  const EvidenceLine& line, float* out);
+
+// out[i] = the largest of a[i], b[i] and c[i].
+void largest_of(const float* a, const float* b, const float* c, size_t count, float* out);
+void largest_of(const uint16_t* a, const uint16_t* b, const uint16_t* c, size_t count, uint16_t* out);
 
 // sum[i] += values[i].
 void add(const float* values, size_t count, float* sum);
+void add(const uint8_t* values, size_t count, uint16_t* sum);
+// sum[i] += unit * values[i].
+void add(const uint16_t* values, float unit, size_t count, float* sum);
 
 }  // namespace orthonav::registration

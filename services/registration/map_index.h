@@ -65,6 +65,14 @@ class MapIndex {
     if (row < 0 || column < 0 || row >= rows_ || column >= columns_) return -1;
     return cells_[static_cast<size_t>(row) * static_cast<size_t>(columns_) + static_cast<size_t>(column)];
   }
+  // The same of `count` cells of a row, from `column` on.
+  void features(int row, int column, int count, int* out) const {
+    std::fill_n(out, count, -1);
+    const int first = std::max(0, column), last = std::min(columns_, column + count);
+    if (row < 0 || row >= rows_ || first >= last) return;
+    const auto from = cells_.begin() + static_cast<ptrdiff_t>(row) * columns_;
+    std::copy(from + first, from + last, out + (first - column));
+  }
   int num_features() const { return descriptors_.rows; }
   const uint8_t* descriptor(int feature) const { return descriptors_.ptr(feature); }
   const Eigen::Vector3f& position(int feature) const { return positions_[static_cast<size_t>(feature)]; }

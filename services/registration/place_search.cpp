@@ -68,23 +68,23 @@ std::vector<Peak> best_peaks(BestPicture pictures, int rows, int columns, double
 // Of each cell the largest of it and its eight neighbours: keyframes of a submap may lie a cell off each other, as the
 // odometry and whatever moved on the ground have it. `wide` is scratch space: large vectors cost more to get than to
 // fill.
-void dilate(std::vector<float>& picture, int rows, int columns, std::vector<float>& wide) {
+template <class Value>
+void dilate(std::vector<Value>& picture, int rows, int columns, std::vector<Value>& wide) {
   const auto at = [columns](int row, int column) {
     return static_cast<size_t>(row) * static_cast<size_t>(columns) + static_cast<size_t>(column);
   };
   wide.resize(picture.size());
+  const auto count = static_cast<size_t>(columns);
   for (int row = 0; row < rows; ++row) {
-    for (int column = 0; column < columns; ++column) {
-      wide[at(row, column)] = std::max({picture[at(row, std::max(0, column - 1))], picture[at(row, column)],
-                                        picture[at(row, std::min(columns - 1, column + 1))]});
-    }
+    const Value* in = &picture[at(row, 0)];
+    Value* out = &wide[at(row, 0)];
+    if (columns > 2) largest_of(in, in + 1, in + 2, count - 2, out + 1);
+    out[0] = std::max(in[0], in[std::min<size_t>(1, count - 1)]);
+    out[count - 1] = std::max(in[count - 1], in[count - std::min<size_t>(2, count)]);
   }
   for (int row = 0; row < rows; ++row) {
-    const int above = std::max(0, row - 1);
-    const int below = std::min(rows - 1, row + 1);
-    for (int column = 0; column < columns; ++column) {
-      picture[at(row, column)] = std::max({wide[at(above, column)], wide[at(row, column)], wide[at(below, column)]});
-    }
+    largest_of(&wide[at(std::max(0, row - 1), 0)], &wide[at(row, 0)], &wide[at(std::min(rows - 1, row + 1), 0)], count,
+               &picture[at(row, 0)]);
   }
 }
 
@@ -141,7 +141,7 @@ CoarseLikelihood coarse_likelihood(const View& view, const MapIndex& index, cons
   result.rows = std::max(0, rows[1] - rows[0]);
   result.columns = std::max(0, columns[1] - columns[0]);
   result.sums.assign(candidates.size(),
-                     std::vector<float>(static_cast<size_t>(result.rows) * static_cast<size_t>(result.columns), 0.0F));
+                     std::vector<uint16_t>(static_cast<size_t>(result.rows) * static_cast<size_t>(result.columns), 0));
   if (result.rows == 0 || result.columns == 0) return result;
 
   struct Points {
@@ -167,7 +167,12 @@ CoarseLikelihood coarse_likelihood(const View& view, const MapIndex& index, cons
   }
   const auto stride = static_cast<size_t>(index.coarse_columns());
   std::vector<uint16_t> products(stride);
-  std::vector<float> weights(stride);
+  std::vector<uint8_t> weights(stride);
+  // As fine as bytes, and the sums of all points in two of them, allow: bytes take a quarter of the time of floats.
+  const float most = static_cast<float>(options.limit);
+  const size_t most_of_each = 65535 / std::max<size_t>(257, points.size());
+  const float levels = static_cast<float>(most_of_each) / most;
+  result.unit = 1 / levels;
   // Row by row of the map, so that a row stays in the cache while all points pass over it.
   for (int row = 0; row < index.coarse_rows(); ++row) {
     for (const Points& entry : points) {
@@ -179,7 +184,7 @@ CoarseLikelihood coarse_likelihood(const View& view, const MapIndex& index, cons
       coarse_products(entry.point->coarse.data(), index.coarse_row(row) + 2 * begin, stride, count, products.data());
       const EvidenceLine line = line_of(entry.point->coarse_background, options);
       evidence_of(products.data(), index.coarse_scales(row) + begin, index.coarse_offsets(row) + begin, count, line,
-                  weights.data());
+                  levels, weights.data());
       for (size_t h = 0; h < candidates.size(); ++h) {
         const int place_row = row - entry.offsets[h].row - rows[0];
         if (place_row < 0 || place_row >= result.rows) continue;
@@ -193,8 +198,8 @@ CoarseLikelihood coarse_likelihood(const View& view, const MapIndex& index, cons
       }
     }
   }
-  std::vector<float> scratch;
-  for (std::vector<float>& picture : result.sums) dilate(picture, result.rows, result.columns, scratch);
+  std::vector<uint16_t> scratch;
+  for (std::vector<uint16_t>& picture : result.sums) dilate(picture, result.rows, result.columns, scratch);
   return result;
 }
 
@@ -210,7 +215,7 @@ std::vector<PlaceCandidate> best_coarse_places(const std::vector<ShiftedLikeliho
     sum.assign(best.value.size(), 0.0F);
     for (const ShiftedLikelihood& keyframe : keyframes) {
       const CoarseLikelihood& other = *keyframe.likelihood;
-      const std::vector<float>& picture = other.sums[closest(other.alignments, keyframe.yaw, candidates[h], yaw)];
+      const std::vector<uint16_t>& picture = other.sums[closest(other.alignments, keyframe.yaw, candidates[h], yaw)];
       // Where that keyframe's body was, seen from the newest.
       const Cell shift =
           cell_offset(candidates[h].from_W(yaw) * (keyframe.p_W_B - keyframes.front().p_W_B).head<2>(), pitch);
@@ -223,7 +228,7 @@ std::vector<PlaceCandidate> best_coarse_places(const std::vector<ShiftedLikeliho
         if (first >= last) continue;
         add(&picture[static_cast<size_t>(from) * static_cast<size_t>(other.columns) +
                      static_cast<size_t>(first + move)],
-            static_cast<size_t>(last - first),
+            other.unit, static_cast<size_t>(last - first),
             &sum[static_cast<size_t>(row) * static_cast<size_t>(newest.columns) + static_cast<size_t>(first)]);
       }
     }
@@ -265,22 +270,16 @@ std::vector<PlaceCandidate> best_fine_places(const std::vector<const View*>& vie
         high = {std::max(high.row, first[h].row + side), std::max(high.column, first[h].column + side)};
       }
       const int width = high.column - low.column;
-      features.clear();
+      features.resize(static_cast<size_t>(width) * static_cast<size_t>(high.row - low.row));
       for (int row = low.row; row < high.row; ++row) {
-        for (int column = low.column; column < high.column; ++column) features.push_back(index.feature(row, column));
+        index.features(row, low.column, width,
+                       &features[static_cast<size_t>(row - low.row) * static_cast<size_t>(width)]);
       }
       products.resize(features.size());
       values.resize(features.size());
       dot_products(point.descriptor.data(), index.descriptor(0), features.data(), features.size(), products.data());
-      const EvidenceLine line = line_of(point.background, options);
-      for (size_t i = 0; i < features.size(); ++i) {
-        if (features[i] < 0) {
-          values[i] = 0;
-          continue;
-        }
-        const MapIndex::Centring& centring = index.centring(features[i]);
-        values[i] = line.evidence(static_cast<float>(products[i]), centring.scale, centring.offset);
-      }
+      evidence_of(products.data(), features.data(), &index.centring(0), features.size(),
+                  line_of(point.background, options), values.data());
       for (size_t h = 0; h < candidates.size(); ++h) {
         for (int i = 0; i < side; ++i) {
           const int from = (first[h].row + i - low.row) * width + first[h].column - low.column;

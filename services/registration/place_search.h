@@ -49,7 +49,8 @@ struct EvidenceOptions {
 struct CoarseLikelihood {
   std::vector<Alignment> alignments;
   int first_row = 0, first_column = 0, rows = 0, columns = 0;  // cells of the coarse grid
-  std::vector<std::vector<float>> sums;                        // rows x columns each
+  float unit = 1;                                              // log-likelihood of one count
+  std::vector<std::vector<uint16_t>> sums;                     // rows x columns each, in units
 };
 
 CoarseLikelihood coarse_likelihood(const View& view, const MapIndex& index, const std::vector<Alignment>& candidates,

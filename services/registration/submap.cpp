@@ -377,15 +377,19 @@ bool SubmapRegistrar::is_nearby() const {
   return radius_ <= kFineRadius;
 }
 
-FitOptions SubmapRegistrar::fit_options() const {
+FitOptions SubmapRegistrar::fit_options(size_t variant) const {
   FitOptions options = options_.fit;
   options.scale_stddev = scale_stddev();
-  options.heading_stddev = fitted_yaw_ ? kLearntTurnStddev : options_.search_heading ? M_PI : heading_.stddev;
+  options.heading_stddev = fitted_yaw_               ? kLearntTurnStddev
+                           : options_.search_heading ? M_PI
+                           : variant > 0             ? 0.5 * kTurnStep
+                                                     : heading_.stddev;
   return options;
 }
 
 Alignment SubmapRegistrar::prior_alignment(size_t variant) const {
-  if (options_.search_heading && !fitted_yaw_) return {0, 1.0};
+  // What was found under another heading than the compass's is not for the compass to draw back.
+  if (!fitted_yaw_ && (options_.search_heading || variant > 0)) return {0, 1.0};
   return {wrap_angle(yaw() - keyframes_.front().variants[variant].view->yaw), 1.0};
 }
 
@@ -403,7 +407,7 @@ std::vector<SubmapRegistrar::Candidate> SubmapRegistrar::fit_best_places() const
     ++fitted;
     Candidate candidate{
         place, fit_place(views(place.variant, options_.pose_keyframes), *index_, geometry_.metres_per_pixel, place.en,
-                         place.alignment, prior_alignment(place.variant), fit_options())};
+                         place.alignment, prior_alignment(place.variant), fit_options(place.variant))};
     if (!candidate.fit.ok) candidate.fit.inliers = 0;
     // The fit of the flank of a better place ends there.
     const auto same = [&](const Candidate& other) { return is_near(other.fit.en, candidate.fit.en); };
@@ -428,7 +432,7 @@ void SubmapRegistrar::fit_again(Candidate& candidate) {
     remembered.variants[variant] = described(remembered.keyframe(), remembered.image, wrap_angle(fitted - yaw()));
   }
   fit = fit_place(views(variant, options_.pose_keyframes), *index_, geometry_.metres_per_pixel, fit.en,
-                  {0, fit.alignment.scale}, prior_alignment(variant), fit_options());
+                  {0, fit.alignment.scale}, prior_alignment(variant), fit_options(variant));
   if (!fit.ok) fit.inliers = 0;
 }
 
@@ -471,9 +475,10 @@ Fix SubmapRegistrar::solve() {
       remembered || !fix.reason.empty()
           ? ground_
           : ground_along(views(best.place.variant, options_.max_keyframes), fit, *index_, options_.fit);
-  const FittedPose pose = fit.ok ? fit_pose(views(best.place.variant, options_.pose_keyframes), fit,
-                                            prior_alignment(best.place.variant), fit_options(), ground)
-                                 : FittedPose{};
+  const FittedPose pose = fit.ok
+                              ? fit_pose(views(best.place.variant, options_.pose_keyframes), fit,
+                                         prior_alignment(best.place.variant), fit_options(best.place.variant), ground)
+                              : FittedPose{};
   const double odometry_heading = heading_of(newest.keyframe.q_W_B);
   const double yaw = pose.ok ? pose.yaw : wrap_angle(odometry_heading - heading_.value);
   const Eigen::Vector2d en = pose.ok ? pose.p_G_B.head<2>() : best.place.en;

@@ -140,7 +140,7 @@ class SubmapRegistrar {
   double likelihood_ratio(const Place& place, const Eigen::Vector2d& fitted) const;
   // Whether the best place found stands out among the others.
   bool is_clear() const;
-  FitOptions fit_options() const;
+  FitOptions fit_options(size_t variant) const;
   // What earlier fixes or else the compass, and the odometry, say, against what the newest view was described with.
   Alignment prior_alignment(size_t variant) const;
   // Whether the search was for a place where the aircraft is expected closely.

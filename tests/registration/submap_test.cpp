@@ -52,6 +52,52 @@ TEST(DotProducts, AreThoseOfTheDefinitionWhateverTheWidth) {
   }
 }
 
+TEST(DotProducts, WhatTheySayAndItsSumsAreThoseOfTheDefinitionWhateverTheWidth) {
+  std::mt19937 random(5);
+  std::uniform_int_distribution<int> word(0, 30000), byte(0, 255);
+  std::uniform_real_distribution<float> real(0.0F, 1.0F);
+  const EvidenceLine line{15000, 0.01F, 0.5F, 4};
+  const float levels = 255 / 16.0F;
+  for (const size_t count : {0, 1, 15, 16, 33, 200}) {
+    std::vector<uint16_t> products(count), words(count), more(count), most(count), sums;
+    std::vector<uint8_t> bytes(count), weights(count);
+    std::vector<float> scales(count), offsets(count), values(count), float_sums;
+    std::vector<int32_t> wide(count);
+    std::vector<int> which(count);
+    std::vector<MapIndex::Centring> centring(7);
+    for (auto& each : centring) each = {real(random), 20 * real(random)};
+    for (size_t i = 0; i < count; ++i) {
+      products[i] = static_cast<uint16_t>(word(random));
+      wide[i] = 5 * word(random) - 60000;
+      words[i] = static_cast<uint16_t>(word(random));
+      more[i] = static_cast<uint16_t>(word(random));
+      bytes[i] = static_cast<uint8_t>(byte(random));
+      scales[i] = 0.1F * real(random);
+      offsets[i] = 100 * real(random);
+      which[i] = byte(random) % 8 - 1;
+    }
+    evidence_of(products.data(), scales.data(), offsets.data(), count, line, levels, weights.data());
+    evidence_of(wide.data(), which.data(), centring.data(), count, line, values.data());
+    sums = words;
+    add(bytes.data(), count, sums.data());
+    float_sums = scales;
+    add(words.data(), 0.25F, count, float_sums.data());
+    largest_of(words.data(), more.data(), products.data(), count, most.data());
+    for (size_t i = 0; i < count; ++i) {
+      const float said = levels * line.evidence(products[i], scales[i], offsets[i]);
+      EXPECT_NEAR(weights[i], said, 0.5001) << i << " of " << count;
+      const auto feature = static_cast<size_t>(std::max(0, which[i]));
+      const float expected =
+          which[i] < 0 ? 0
+                       : line.evidence(static_cast<float>(wide[i]), centring[feature].scale, centring[feature].offset);
+      EXPECT_EQ(values[i], expected) << i << " of " << count;
+      EXPECT_EQ(sums[i], words[i] + bytes[i]);
+      EXPECT_EQ(float_sums[i], scales[i] + 0.25F * words[i]);
+      EXPECT_EQ(most[i], std::max({words[i], more[i], products[i]}));
+    }
+  }
+}
+
 TEST(DotProducts, OfCoarseDescriptorsFitIntoFifteenBits) {
   // The two extremes: all in one component, and evenly spread.
   for (const int used : {1, 3, 128}) {
@@ -283,6 +329,29 @@ TEST_F(SubmapTest, ACompassesBiasIsLeftBehindFixByFix) {
   ASSERT_GE(errors.size(), 6u);
   EXPECT_LT(errors.back(), 0.01);
   EXPECT_LT(errors.back(), 0.5 * errors.front());
+}
+
+// Nearly four of the compass's standard deviations off. On the tests' ground a place is clear all the same; where more
+// is asked of it, it is only so under the right heading.
+TEST_F(SubmapTest, AHeadingFurtherOffThanTheCompassSaysIsLookedForWhereTheCompassShowsNoClearPlace) {
+  const Capture capture = ground_.capture({95, -80, 60}, 1.0, 0.03, -0.04);
+  for (const double heading_error : {0.19, -0.19}) {
+    const auto with_ratio = [&](double ratio, double error) {
+      SubmapOptions options;
+      options.min_likelihood_ratio = ratio;
+      SubmapRegistrar registrar(options, test_camera());
+      registrar.set_map(features(), kMap);
+      return add(registrar, capture, {1.0 + error, 0.05});
+    };
+    const double right = with_ratio(0, 0).log_likelihood_ratio;
+    const double believed = with_ratio(0, heading_error).log_likelihood_ratio;
+    ASSERT_LT(believed, 0.8 * right);
+    const Fix fix = with_ratio(0.5 * (right + believed), heading_error);
+    ASSERT_TRUE(fix.valid) << fix.reason;
+    EXPECT_GT(fix.log_likelihood_ratio, believed);
+    EXPECT_NEAR(fix.heading_correction, -heading_error, 2.5 * fix.heading_correction_stddev);
+    EXPECT_LT((fix.p_G_B - capture.p_G_B).head<2>().norm(), 0.5);
+  }
 }
 
 TEST_F(SubmapTest, FindsTheHeadingWhereNoneIsKnown) {

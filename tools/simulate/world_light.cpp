@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
+#include <future>
 #include <numbers>
 #include <vector>
 
@@ -226,9 +227,10 @@ cv::Mat render(const Canvas& canvas, const Epoch& epoch, const LightOptions& lig
   const int looked_rows = (canvas.size().height + kLook - 1) / kLook;
   const double looked = static_cast<double>(looked_rows) * canvas.size().width;
   const float gain = static_cast<float>(light.mean_level / std::max(1.0, sum / looked));
-  cv::parallel_for_(
-      cv::Range(0, canvas.size().height),
-      [&](const cv::Range& rows) { shade_rows(rows.start, rows.end, 1, gain, nullptr); }, 2);
+  const int rows = canvas.size().height;
+  auto lower_half = std::async(std::launch::async, [&] { shade_rows(rows / 2, rows, 1, gain, nullptr); });
+  shade_rows(0, rows / 2, 1, gain, nullptr);
+  lower_half.get();
   return image;
 }
 
