@@ -243,14 +243,24 @@ std::vector<PlaceCandidate> best_coarse_places(const std::vector<ShiftedLikeliho
   return places;
 }
 
-std::vector<PlaceCandidate> best_fine_places(const std::vector<const View*>& views, const MapIndex& index,
-                                             const std::vector<Alignment>& candidates, const Eigen::Vector2d& centre,
-                                             double radius, double separation, int count,
-                                             const EvidenceOptions& options) {
-  const int reach = static_cast<int>(std::ceil(radius / index.pitch()));
-  const int side = 2 * reach + 1;
-  std::vector<std::vector<float>> sums(candidates.size(),
-                                       std::vector<float>(static_cast<size_t>(side) * static_cast<size_t>(side), 0.0F));
+namespace {
+
+// Likelihood at full resolution of the places around one, a picture for each alignment.
+struct FineLikelihood {
+  int reach = 0, side = 0;               // cells
+  std::vector<std::vector<float>> sums;  // side x side each
+};
+
+// With `give`, each keyframe may lie a cell off.
+FineLikelihood fine_likelihood(const std::vector<const View*>& views, const MapIndex& index,
+                               const std::vector<Alignment>& candidates, const Eigen::Vector2d& centre, double radius,
+                               bool give, const EvidenceOptions& options) {
+  FineLikelihood result;
+  result.reach = static_cast<int>(std::ceil(radius / index.pitch()));
+  result.side = 2 * result.reach + 1;
+  const int reach = result.reach, side = result.side;
+  std::vector<std::vector<float>>& sums = result.sums;
+  sums.assign(candidates.size(), std::vector<float>(static_cast<size_t>(side) * static_cast<size_t>(side), 0.0F));
   std::vector<std::vector<float>> own;
   std::vector<Eigen::Matrix2d> from_W;
   for (const Alignment& candidate : candidates) from_W.push_back(candidate.from_W(views.front()->yaw));
@@ -288,18 +298,38 @@ std::vector<PlaceCandidate> best_fine_places(const std::vector<const View*>& vie
       }
     }
     for (size_t h = 0; h < candidates.size(); ++h) {
-      dilate(own[h], side, side, scratch);
+      if (give) dilate(own[h], side, side, scratch);
       add(own[h].data(), own[h].size(), sums[h].data());
     }
   }
-  BestPicture best(sums.front().size());
-  for (size_t h = 0; h < candidates.size(); ++h) best.add(sums[h], h);
+  return result;
+}
+
+}  // namespace
+
+std::vector<PlaceCandidate> best_fine_places(const std::vector<const View*>& views, const MapIndex& index,
+                                             const std::vector<Alignment>& candidates, const Eigen::Vector2d& centre,
+                                             double radius, double separation, int count,
+                                             const EvidenceOptions& options) {
+  const FineLikelihood pictures = fine_likelihood(views, index, candidates, centre, radius, true, options);
+  const int reach = pictures.reach, side = pictures.side;
+  BestPicture best(pictures.sums.front().size());
+  for (size_t h = 0; h < candidates.size(); ++h) best.add(pictures.sums[h], h);
   std::vector<PlaceCandidate> places;
   for (const Peak& peak : best_peaks(std::move(best), side, side, separation / index.pitch(), count)) {
     const Eigen::Vector2d shift(peak.cell.column - reach, reach - peak.cell.row);
     places.push_back({centre + index.pitch() * shift, peak.picture, peak.value});
   }
   return places;
+}
+
+Eigen::Vector2d likeliest_place(const std::vector<const View*>& views, const MapIndex& index,
+                                const Alignment& alignment, const Eigen::Vector2d& centre, double radius,
+                                const EvidenceOptions& options) {
+  const FineLikelihood picture = fine_likelihood(views, index, {alignment}, centre, radius, false, options);
+  const std::vector<float>& sums = picture.sums.front();
+  const int at = static_cast<int>(std::max_element(sums.begin(), sums.end()) - sums.begin());
+  return centre + index.pitch() * Eigen::Vector2d(at % picture.side - picture.reach, picture.reach - at / picture.side);
 }
 
 }  // namespace orthonav::registration

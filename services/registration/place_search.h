@@ -79,4 +79,9 @@ std::vector<PlaceCandidate> best_fine_places(const std::vector<const View*>& vie
                                              double radius, double separation, int count,
                                              const EvidenceOptions& options);
 
+// The place within `radius` of `centre` that the keyframes look most like, all of them where the odometry has them.
+Eigen::Vector2d likeliest_place(const std::vector<const View*>& views, const MapIndex& index,
+                                const Alignment& alignment, const Eigen::Vector2d& centre, double radius,
+                                const EvidenceOptions& options);
+
 }  // namespace orthonav::registration

@@ -27,6 +27,9 @@ constexpr double kLargestScaleStddev = 0.1;  // that a session begins with
 constexpr double kHeadingStep = 15 * kRadian;
 // The same where another one than the compass's is looked for, and how far from it, in its standard deviations.
 constexpr double kTurnStep = 9 * kRadian, kFurthestTurn = 4.5;
+// Of the newest points, the share that has to stay aligned for their fit to be believed without asking the rest of the
+// submap: with less, fits over crops in rows and woods were rows and crowns off, up to 25 m.
+constexpr double kSureShare = 0.2;
 // What the share of points that stay aligned with the map counts, beside the likelihood ratio's share.
 constexpr double kInlierEvidence = 3;
 // What that share counts in accepting a place, and the log-likelihood ratio that counts as 1: where little ground was
@@ -422,6 +425,32 @@ std::vector<SubmapRegistrar::Candidate> SubmapRegistrar::fit_best_places() const
   return candidates;
 }
 
+double SubmapRegistrar::submap_give() const {
+  return 1.5 * index_->pitch();
+}
+
+double SubmapRegistrar::agree_with_submap(Candidate& candidate) const {
+  const double give = submap_give();
+  if (!candidate.fit.ok || aligned_share(candidate) >= kSureShare) return 0;
+  // As far back as the odometry's scale lets its keyframes lie where they are taken to lie.
+  std::vector<const View*> submap = views(candidate.place.variant, options_.max_keyframes);
+  const auto is_far = [&](const View* view) {
+    const Eigen::Vector3d way = view->keyframe.p_W_B - submap.front()->keyframe.p_W_B;
+    return way.head<2>().norm() * kFittedScaleStddev > give;
+  };
+  submap.erase(std::remove_if(submap.begin() + 1, submap.end(), is_far), submap.end());
+  const Eigen::Vector2d place = likeliest_place(submap, *index_, candidate.fit.alignment, candidate.fit.en,
+                                                options_.second_distance, options_.evidence);
+  const double off = (place - candidate.fit.en).norm();
+  if (off <= give) return 0;
+  const PlaceFit again = fit_place(views(candidate.place.variant, options_.pose_keyframes), *index_,
+                                   geometry_.metres_per_pixel, place, candidate.fit.alignment,
+                                   prior_alignment(candidate.place.variant), fit_options(candidate.place.variant));
+  if (!again.ok || (again.en - place).norm() > give) return off;
+  candidate.fit = again;
+  return 0;
+}
+
 void SubmapRegistrar::fit_again(Candidate& candidate) {
   const size_t variant = candidate.place.variant;
   PlaceFit& fit = candidate.fit;
@@ -455,6 +484,7 @@ Fix SubmapRegistrar::solve() {
     return fix;
   }
   std::vector<Candidate> candidates = fit_best_places();
+  const double disagreement = agree_with_submap(candidates.front());
   const Candidate& best = candidates.front();
   fix.log_likelihood = best.place.likelihood;
   fix.log_likelihood_ratio = likelihood_ratio(best.place, best.fit.en);
@@ -464,6 +494,10 @@ Fix SubmapRegistrar::solve() {
   fix.reason = doubt({fix.log_likelihood, fix.log_likelihood_ratio, aligned_share(best), fix.num_inliers,
                       fix.num_second_inliers, is_nearby()},
                      options_);
+  if (fix.reason.empty() && disagreement > 0) {
+    fix.reason =
+        fmt::format("the whole submap looks like a place {:.0f} m from where its newest keyframes fit", disagreement);
+  }
   if (fix.reason.empty() && best.place.variant > 0 && !options_.search_heading) {
     fit_again(candidates.front());
     fix.num_inliers = static_cast<int>(fit.inliers);
@@ -494,6 +528,10 @@ Fix SubmapRegistrar::solve() {
     fix.p_G_B = pose.p_G_B;
     fix.q_G_B = pose.q_G_B;
     fix.covariance = pose.covariance;
+    // The fewer stay, the more it is the submap that says where, to within its cells.
+    const double of_the_submap = std::max(0.0, 1 - aligned_share(best) / kSureShare);
+    fix.covariance.topLeftCorner<2, 2>() +=
+        of_the_submap * submap_give() * submap_give() / 3 * Eigen::Matrix2d::Identity();
     fix.scale = pose.scale;
     fix.scale_stddev = pose.scale_stddev;
     fix.heading_correction = wrap_angle(odometry_heading - yaw - heading_.value);

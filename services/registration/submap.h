@@ -152,6 +152,11 @@ class SubmapRegistrar {
   // A patch described under a heading that is off fits best where that heading puts it: describes what poses are made
   // of under the heading that was fitted, and fits again.
   void fit_again(Candidate& candidate);
+  // How far (m) from a fit the whole submap may have its place: it goes by cells, and its odometry errs.
+  double submap_give() const;
+  // Where few of the newest points stay aligned, asks the whole submap, and fits again where it says. How far (m) the
+  // fit is from there if that does not help, 0 if they agree.
+  double agree_with_submap(Candidate& candidate) const;
   void miss();
   void learn_from(const FittedPose& pose, size_t variant);
 

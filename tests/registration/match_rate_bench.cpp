@@ -31,8 +31,8 @@
 #include <opencv2/imgcodecs.hpp>
 #include <opencv2/imgproc.hpp>
 #include <opencv2/video/tracking.hpp>
-#include <sys/resource.h>
 
+#include "common/bus/process_usage.h"
 #include "common/features/fixed_sift.h"
 #include "common/features/orientation_field.h"
 #include "common/geo/raster.h"
@@ -402,11 +402,7 @@ MapFeatures plain_around(const MapFeatures& features, double pitch, int64_t coun
   return plain;
 }
 
-double peak_memory_gib() {
-  rusage usage{};
-  getrusage(RUSAGE_SELF, &usage);
-  return static_cast<double>(usage.ru_maxrss) / (1 << 20);
-}
+constexpr double kGib = 1 << 30;
 
 void run_growth(const Arguments& arguments) {
   const Scene scene = arroio(arguments.data / "arroio_do_meio");
@@ -415,6 +411,7 @@ void run_growth(const Arguments& arguments) {
   const Method method = arguments.method == "paper" ? Method::kPaper : Method::kSubmap;
   const CameraModel camera = camera_of(scene);
   const MapFeatures real = describe_map(scene, geometry, method);
+  const double of_the_scene = ProcessUsage::resident_bytes() / kGib;
   for (const int64_t count : arguments.features) {
     MapFeatures plain = plain_around(real, geometry.keypoint_stride * geometry.metres_per_pixel, count);
     SubmapOptions submap_options;
@@ -456,8 +453,12 @@ void run_growth(const Arguments& arguments) {
       found += at.norm() < 30 ? 1 : 0;
       ++tried;
     }
-    fmt::print("{} {} features: {:.1f} ms a keyframe (median), found {} of {}; ready after {:.1f} s, peak {:.2f} GiB\n",
-               arguments.method, count, median(times), found, tried, 1e-3 * load, peak_memory_gib());
+    // Nothing was given back yet: this is the most it had.
+    const double memory = ProcessUsage::resident_bytes() / kGib - of_the_scene;
+    fmt::print(
+        "{} {} features: {:.1f} ms a keyframe (median), found {} of {}; ready after {:.1f} s, {:.2f} GiB beside the "
+        "scene's pictures\n",
+        arguments.method, count, median(times), found, tried, 1e-3 * load, memory);
     std::fflush(stdout);
   }
 }

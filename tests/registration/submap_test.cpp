@@ -383,6 +383,33 @@ TEST_F(SubmapTest, TheMoreKeyframesTheSurer) {
   EXPECT_EQ(add(registrar, capture, capture.heading, {}, 2).num_keyframes, 1);
 }
 
+// Of the newest image a sixth is ground, eight metres from where the odometry says it is seen; the rest is noise.
+TEST_F(SubmapTest, WhereLittleOfTheNewestKeyframeFitsTheWholeSubmapHasToAgree) {
+  const auto last_fix = [&](int max_keyframes) {
+    SubmapOptions options;
+    options.pose_keyframes = 1;
+    options.max_keyframes = max_keyframes;
+    SubmapRegistrar registrar(options, test_camera());
+    registrar.set_map(features(), kMap);
+    for (int i = 0; i < 5; ++i) {
+      const Capture capture = ground_.capture({50.0 + 12 * i, -80, 60}, 1.0, 0.03, -0.04);
+      EXPECT_TRUE(add(registrar, capture, capture.heading).valid);
+    }
+    Capture capture = ground_.capture({110, -80, 60}, 1.0, 0.03, -0.04);
+    const cv::Mat seen = ground_.capture({110, -88, 60}, 1.0, 0.03, -0.04).image;
+    cv::RNG(7).fill(capture.image, cv::RNG::UNIFORM, 0, 256);
+    const cv::Rect middle(94, 70, 131, 98);
+    seen(middle).copyTo(capture.image(middle));
+    return add(registrar, capture, capture.heading, PositionPrior{{110, -84}, 2});
+  };
+  const Fix alone = last_fix(1);
+  ASSERT_TRUE(alone.valid) << alone.reason;
+  EXPECT_NEAR(alone.p_G_B.y(), -88, 1.5);
+  const Fix fix = last_fix(6);
+  EXPECT_FALSE(fix.valid);
+  EXPECT_THAT(fix.reason, HasSubstr("the whole submap"));
+}
+
 TEST_F(SubmapTest, KeepsOfTheOlderKeyframesThoseThatSawNewGround) {
   SubmapRegistrar registrar({}, test_camera());
   registrar.set_map(features(), kMap);
