@@ -255,18 +255,17 @@ void SubmapRegistrar::search(const std::optional<PositionPrior>& prior) {
     if (radius < 0.5 * size.norm()) radius_ = radius;
   }
   const std::vector<double> turns = this->turns();
-  const bool is_everywhere = std::isinf(radius_);
   if (options_.search_heading) describe_turned(turns);
   for (size_t variant = 0; variant < turns.size(); ++variant) {
     if (variant == 1 && !options_.search_heading) {
       // The compass is believed where it leads to a place.
-      if (!is_everywhere || is_clear()) break;
+      if (std::isfinite(radius_) || is_clear()) break;
       describe_turned(turns);
     }
-    if (is_everywhere) {
-      search_everywhere(variant);
+    if (is_nearby()) {
+      search_nearby(*prior, variant);
     } else {
-      search_around(*prior, radius_, variant);
+      search_widely(prior, variant);
     }
     sort_places();
   }
@@ -293,48 +292,41 @@ bool SubmapRegistrar::is_clear() const {
   return ratio >= options_.min_likelihood_ratio && ratio >= options_.min_likelihood_share * best.likelihood;
 }
 
-void SubmapRegistrar::search_everywhere(size_t variant) {
-  // A keyframe's own points lie close together: it needs fewer alignments than the submap.
+void SubmapRegistrar::search_nearby(const PositionPrior& prior, size_t variant) {
+  const std::vector<const View*> newest = views(variant, options_.pose_keyframes);
+  const std::vector<Alignment> candidates =
+      alignments_for(variant, *newest.front(), lever_of({newest.front()}), 1.5 * index_->pitch());
+  for (const PlaceCandidate& place : best_fine_places(newest, *index_, candidates, prior.en, radius_,
+                                                      options_.second_distance, 2, options_.evidence)) {
+    places_.push_back({place.en, candidates[place.alignment], place.likelihood, variant});
+  }
+}
+
+void SubmapRegistrar::search_widely(const std::optional<PositionPrior>& prior, size_t variant) {
   const double step = 2 * index_->pitch();
+  const std::vector<const View*> submap = views(variant, options_.max_keyframes);
+  const View& newest = *submap.front();
+  const std::vector<Alignment> candidates = alignments_for(variant, newest, lever_of(submap), step);
+  std::vector<CoarseLikelihood> around;
+  around.reserve(keyframes_.size());
   std::vector<ShiftedLikelihood> all;
   for (Remembered& keyframe : keyframes_) {
     Variant& each = keyframe.variants[variant];
     const View& view = *each.view;
-    if (!each.everywhere) {
-      each.everywhere = coarse_likelihood(view, *index_, alignments_for(variant, view, lever_of({&view}), step), {},
-                                          options_.evidence);
+    const auto likelihood = [&](const SearchArea& area) {
+      // A keyframe's own points lie close together: it needs fewer alignments than the submap.
+      return coarse_likelihood(view, *index_, alignments_for(variant, view, lever_of({&view}), step), area,
+                               options_.evidence);
+    };
+    if (std::isinf(radius_)) {
+      if (!each.everywhere) each.everywhere = likelihood({});
+      all.push_back({&*each.everywhere, view.keyframe.p_W_B, view.yaw});
+    } else {
+      const Eigen::Vector2d back =
+          candidates.front().from_W(newest.yaw) * (view.keyframe.p_W_B - newest.keyframe.p_W_B).head<2>();
+      around.push_back(likelihood({prior->en + back, radius_}));
+      all.push_back({&around.back(), view.keyframe.p_W_B, view.yaw});
     }
-    all.push_back({&*each.everywhere, view.keyframe.p_W_B, view.yaw});
-  }
-  const std::vector<const View*> submap = views(variant, options_.max_keyframes);
-  const std::vector<Alignment> candidates = alignments_for(variant, *submap.front(), lever_of(submap), step);
-  compare_at_full_resolution(
-      best_coarse_places(all, *index_, candidates, options_.second_distance, options_.coarse_places), candidates,
-      variant);
-}
-
-void SubmapRegistrar::search_around(const PositionPrior& prior, double radius, size_t variant) {
-  const std::vector<const View*> submap = views(variant, options_.pose_keyframes);
-  if (is_nearby()) {
-    const std::vector<Alignment> candidates =
-        alignments_for(variant, *submap.front(), lever_of({submap.front()}), 1.5 * index_->pitch());
-    for (const PlaceCandidate& place : best_fine_places(submap, *index_, candidates, prior.en, radius,
-                                                        options_.second_distance, 2, options_.evidence)) {
-      places_.push_back({place.en, candidates[place.alignment], place.likelihood, variant});
-    }
-    return;
-  }
-  const std::vector<Alignment> candidates =
-      alignments_for(variant, *submap.front(), lever_of({submap.front()}), 2 * index_->pitch());
-  std::vector<CoarseLikelihood> likelihoods;
-  likelihoods.reserve(submap.size());
-  std::vector<ShiftedLikelihood> all;
-  const View& newest = *submap.front();
-  for (const View* view : submap) {
-    const Eigen::Vector2d back =
-        candidates.front().from_W(newest.yaw) * (view->keyframe.p_W_B - newest.keyframe.p_W_B).head<2>();
-    likelihoods.push_back(coarse_likelihood(*view, *index_, candidates, {prior.en + back, radius}, options_.evidence));
-    all.push_back({&likelihoods.back(), view->keyframe.p_W_B, newest.yaw});
   }
   compare_at_full_resolution(
       best_coarse_places(all, *index_, candidates, options_.second_distance, options_.coarse_places), candidates,

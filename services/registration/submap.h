@@ -131,8 +131,10 @@ class SubmapRegistrar {
   Alignment expected(const View& view, size_t variant) const;
   double scale_stddev() const;  // of the odometry, before the map says better
   std::vector<Alignment> alignments_for(size_t variant, const View& view, double lever, double step) const;
-  void search_everywhere(size_t variant);
-  void search_around(const PositionPrior& prior, double radius, size_t variant);
+  // With the newest keyframes, at full resolution, within radius_.
+  void search_nearby(const PositionPrior& prior, size_t variant);
+  // With the whole submap, on the coarse grid first, within radius_ of the prior or everywhere.
+  void search_widely(const std::optional<PositionPrior>& prior, size_t variant);
   void compare_at_full_resolution(const std::vector<PlaceCandidate>& coarse, const std::vector<Alignment>& candidates,
                                   size_t variant);
   void sort_places();
