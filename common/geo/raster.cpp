@@ -230,8 +230,8 @@ double Raster::metres_per_pixel(const Eigen::Vector2d& pixel) const {
 
 cv::Mat Raster::read_grey(const cv::Rect& window, cv::Mat* valid) const {
   const cv::Rect inside = impl_->clip(window);
-  cv::Mat grey = cv::Mat::zeros(window.size(), CV_8U);
-  if (valid != nullptr) *valid = cv::Mat::zeros(window.size(), CV_8U);
+  cv::Mat grey(window.size(), CV_8U, cv::Scalar(0));
+  if (valid != nullptr) *valid = cv::Mat(window.size(), CV_8U, cv::Scalar(0));
   if (inside.empty()) return grey;
 
   const bool bytes = impl_->dataset->GetRasterBand(1)->GetRasterDataType() == GDT_Byte;

@@ -124,44 +124,46 @@ struct Functions {
   void (*add_words)(const uint16_t*, float, size_t, float*);
 };
 
-// One set of functions for an instruction set; `attribute` is the one that asks for it. A lambda's attribute stands
-// behind its parameters.
-#define ORTHONAV_FUNCTIONS(suffix, attribute)                                                                       \
-  constexpr Functions functions_##suffix = {coarse_products_##suffix,                                               \
-                                            [](const uint8_t* a, const uint8_t* b)                                  \
-                                                __attribute__((attribute)){return dot_product_loop(a, b);           \
-  }                                                                                                                 \
-  , [](const uint8_t* query, const uint8_t* descriptors, const int* which, size_t count, int32_t* out)              \
-        __attribute__((attribute)) {                                                                                \
-    dot_products_loop(query, descriptors, which, count, out);                                                       \
-  }                                                                                                                 \
-  , [](const uint16_t* products, const float* scales, const float* offsets, size_t count, const EvidenceLine& line, \
-       float levels, uint8_t* out) __attribute__((attribute)) {                                                     \
-    evidence_loop(products, scales, offsets, count, line, levels, out);                                             \
-  }                                                                                                                 \
-  , [](const int32_t* products, const int* which, const MapIndex::Centring* centring, size_t count,                 \
-       const EvidenceLine& line, float* out) __attribute__((attribute)) {                                           \
-    evidence_at_loop(products, which, centring, count, line, out);                                                  \
-  }                                                                                                                 \
-  , [](const float* a, const float* b, const float* c, size_t count, float* out) __attribute__((attribute)) {       \
-    largest_loop(a, b, c, count, out);                                                                              \
-  }                                                                                                                 \
-  , [](const uint16_t* a, const uint16_t* b, const uint16_t* c, size_t count, uint16_t* out)                        \
-        __attribute__((attribute)) {                                                                                \
-    largest_loop(a, b, c, count, out);                                                                              \
-  }                                                                                                                 \
-  , [](const float* values, size_t count, float* sum) __attribute__((attribute)) {                                  \
-    add_loop(values, count, sum);                                                                                   \
-  }                                                                                                                 \
-  , [](const uint8_t* values, size_t count, uint16_t* sum) __attribute__((attribute)) {                             \
-    add_bytes_loop(values, count, sum);                                                                             \
-  }                                                                                                                 \
-  , [](const uint16_t* values, float unit, size_t count, float* sum) __attribute__((attribute)) {                   \
-    add_words_loop(values, unit, count, sum);                                                                       \
-  }                                                                                                                 \
-  ,                                                                                                                 \
-  }                                                                                                                 \
-  ;
+// One set of functions for an instruction set; `attribute` is the one that asks for it.
+#define ORTHONAV_FUNCTIONS(suffix, attribute)                                                                        \
+  __attribute__((attribute)) int32_t dot_product_##suffix(const uint8_t* a, const uint8_t* b) {                      \
+    return dot_product_loop(a, b);                                                                                   \
+  }                                                                                                                  \
+  __attribute__((attribute)) void dot_products_##suffix(const uint8_t* query, const uint8_t* descriptors,            \
+                                                        const int* which, size_t count, int32_t* out) {              \
+    dot_products_loop(query, descriptors, which, count, out);                                                        \
+  }                                                                                                                  \
+  __attribute__((attribute)) void evidence_##suffix(const uint16_t* products, const float* scales,                   \
+                                                    const float* offsets, size_t count, const EvidenceLine& line,    \
+                                                    float levels, uint8_t* out) {                                    \
+    evidence_loop(products, scales, offsets, count, line, levels, out);                                              \
+  }                                                                                                                  \
+  __attribute__((attribute)) void evidence_at_##suffix(const int32_t* products, const int* which,                    \
+                                                       const MapIndex::Centring* centring, size_t count,             \
+                                                       const EvidenceLine& line, float* out) {                       \
+    evidence_at_loop(products, which, centring, count, line, out);                                                   \
+  }                                                                                                                  \
+  __attribute__((attribute)) void largest_##suffix(const float* a, const float* b, const float* c, size_t count,     \
+                                                   float* out) {                                                     \
+    largest_loop(a, b, c, count, out);                                                                               \
+  }                                                                                                                  \
+  __attribute__((attribute)) void largest_words_##suffix(const uint16_t* a, const uint16_t* b, const uint16_t* c,    \
+                                                         size_t count, uint16_t* out) {                              \
+    largest_loop(a, b, c, count, out);                                                                               \
+  }                                                                                                                  \
+  __attribute__((attribute)) void add_##suffix(const float* values, size_t count, float* sum) {                      \
+    add_loop(values, count, sum);                                                                                    \
+  }                                                                                                                  \
+  __attribute__((attribute)) void add_bytes_##suffix(const uint8_t* values, size_t count, uint16_t* sum) {           \
+    add_bytes_loop(values, count, sum);                                                                              \
+  }                                                                                                                  \
+  __attribute__((attribute)) void add_words_##suffix(const uint16_t* values, float unit, size_t count, float* sum) { \
+    add_words_loop(values, unit, count, sum);                                                                        \
+  }                                                                                                                  \
+  constexpr Functions functions_##suffix = {coarse_products_##suffix, dot_product_##suffix, dot_products_##suffix,   \
+                                            evidence_##suffix,        evidence_at_##suffix, largest_##suffix,        \
+                                            largest_words_##suffix,   add_##suffix,         add_bytes_##suffix,      \
+                                            add_words_##suffix};
 
 ORTHONAV_FUNCTIONS(any, )
 #if defined(__x86_64__)

@@ -8,6 +8,7 @@
 // Immutable after construction.
 #pragma once
 
+#include <algorithm>
 #include <cstdint>
 #include <memory>
 #include <vector>
