@@ -1,5 +1,7 @@
 #include "services/registration/dot_products.h"
 
+#include <array>
+
 #if defined(__x86_64__)
 #include <immintrin.h>
 #endif
@@ -50,6 +52,10 @@ void coarse_products_any(const uint8_t* query, const uint8_t* row, size_t stride
   }
 }
 
+void add_bytes_any(const uint8_t* values, size_t count, uint16_t* sum) {
+  for (size_t i = 0; i < count; ++i) sum[i] = static_cast<uint16_t>(sum[i] + values[i]);
+}
+
 #if defined(__x86_64__)
 // Compilers do not find the instruction that multiplies bytes and adds them in pairs.
 __attribute__((target("avx2"))) void coarse_products_avx2(const uint8_t* query, const uint8_t* row, size_t stride,
@@ -72,6 +78,28 @@ __attribute__((target("avx2"))) void coarse_products_avx2(const uint8_t* query, 
       _mm256_storeu_si256(reinterpret_cast<__m256i*>(out + first + kLanes * i), sums[i]);
     }
   }
+}
+
+// Rows are short: what compilers do one by one at their ends takes half of the time.
+__attribute__((target("avx2"))) void add_bytes_avx2(const uint8_t* values, size_t count, uint16_t* sum) {
+  constexpr size_t kLanes = 16;
+  if (count < kLanes) return add_bytes_any(values, count, sum);
+  const auto add_to = [](__m128i bytes, uint16_t * out) __attribute__((target("avx2"))) {
+    auto* at = reinterpret_cast<__m256i*>(out);
+    _mm256_storeu_si256(at, _mm256_add_epi16(_mm256_loadu_si256(at), _mm256_cvtepu8_epi16(bytes)));
+  };
+  const auto load = [](const uint8_t* from) { return _mm_loadu_si128(reinterpret_cast<const __m128i*>(from)); };
+  size_t i = 0;
+  for (; i + kLanes <= count; i += kLanes) add_to(load(values + i), sum + i);
+  if (i == count) return;
+  // The last lanes again, without what is added already.
+  alignas(32) static constexpr std::array<uint8_t, 2 * kLanes> kMask = [] {
+    std::array<uint8_t, 2 * kLanes> mask{};
+    std::fill(mask.begin() + kLanes, mask.end(), uint8_t{255});
+    return mask;
+  }();
+  const size_t last = count - kLanes;
+  add_to(_mm_and_si128(load(values + last), load(&kMask[kLanes - (i - last)])), sum + last);
 }
 #endif
 
@@ -104,15 +132,13 @@ ORTHONAV_INLINE void largest_loop(const Value* a, const Value* b, const Value* c
 ORTHONAV_INLINE void add_loop(const float* values, size_t count, float* sum) {
   for (size_t i = 0; i < count; ++i) sum[i] += values[i];
 }
-ORTHONAV_INLINE void add_bytes_loop(const uint8_t* values, size_t count, uint16_t* sum) {
-  for (size_t i = 0; i < count; ++i) sum[i] = static_cast<uint16_t>(sum[i] + values[i]);
-}
 ORTHONAV_INLINE void add_words_loop(const uint16_t* values, float unit, size_t count, float* sum) {
   for (size_t i = 0; i < count; ++i) sum[i] += unit * static_cast<float>(values[i]);
 }
 
 struct Functions {
   decltype(&coarse_products_any) coarse_products;
+  decltype(&add_bytes_any) add_bytes;
   int32_t (*dot_product)(const uint8_t*, const uint8_t*);
   void (*dot_products)(const uint8_t*, const uint8_t*, const int*, size_t, int32_t*);
   void (*evidence)(const uint16_t*, const float*, const float*, size_t, const EvidenceLine&, float, uint8_t*);
@@ -120,7 +146,6 @@ struct Functions {
   void (*largest)(const float*, const float*, const float*, size_t, float*);
   void (*largest_words)(const uint16_t*, const uint16_t*, const uint16_t*, size_t, uint16_t*);
   void (*add)(const float*, size_t, float*);
-  void (*add_bytes)(const uint8_t*, size_t, uint16_t*);
   void (*add_words)(const uint16_t*, float, size_t, float*);
 };
 
@@ -154,15 +179,12 @@ struct Functions {
   __attribute__((attribute)) void add_##suffix(const float* values, size_t count, float* sum) {                      \
     add_loop(values, count, sum);                                                                                    \
   }                                                                                                                  \
-  __attribute__((attribute)) void add_bytes_##suffix(const uint8_t* values, size_t count, uint16_t* sum) {           \
-    add_bytes_loop(values, count, sum);                                                                              \
-  }                                                                                                                  \
   __attribute__((attribute)) void add_words_##suffix(const uint16_t* values, float unit, size_t count, float* sum) { \
     add_words_loop(values, unit, count, sum);                                                                        \
   }                                                                                                                  \
-  constexpr Functions functions_##suffix = {coarse_products_##suffix, dot_product_##suffix, dot_products_##suffix,   \
-                                            evidence_##suffix,        evidence_at_##suffix, largest_##suffix,        \
-                                            largest_words_##suffix,   add_##suffix,         add_bytes_##suffix,      \
+  constexpr Functions functions_##suffix = {coarse_products_##suffix, add_bytes_##suffix,     dot_product_##suffix,  \
+                                            dot_products_##suffix,    evidence_##suffix,      evidence_at_##suffix,  \
+                                            largest_##suffix,         largest_words_##suffix, add_##suffix,          \
                                             add_words_##suffix};
 
 ORTHONAV_FUNCTIONS(any, )

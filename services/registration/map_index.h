@@ -8,7 +8,6 @@
 // Immutable after construction.
 #pragma once
 
-#include <algorithm>
 #include <cstdint>
 #include <memory>
 #include <vector>
@@ -66,13 +65,14 @@ class MapIndex {
     if (row < 0 || column < 0 || row >= rows_ || column >= columns_) return -1;
     return cells_[static_cast<size_t>(row) * static_cast<size_t>(columns_) + static_cast<size_t>(column)];
   }
-  // The same of `count` cells of a row, from `column` on.
+  // The same of `count` cells of a row, from `column` on. Few, mostly: no copying in blocks.
   void features(int row, int column, int count, int* out) const {
-    std::fill_n(out, count, -1);
-    const int first = std::max(0, column), last = std::min(columns_, column + count);
-    if (row < 0 || row >= rows_ || first >= last) return;
-    const auto from = cells_.begin() + static_cast<ptrdiff_t>(row) * columns_;
-    std::copy(from + first, from + last, out + (first - column));
+    const bool inside = row >= 0 && row < rows_;
+    const int32_t* cells = cells_.data() + static_cast<ptrdiff_t>(inside ? row : 0) * columns_;
+    for (int i = 0; i < count; ++i) {
+      const int at = column + i;
+      out[i] = inside && at >= 0 && at < columns_ ? cells[at] : -1;
+    }
   }
   int num_features() const { return descriptors_.rows; }
   const uint8_t* descriptor(int feature) const { return descriptors_.ptr(feature); }

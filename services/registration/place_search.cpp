@@ -33,14 +33,15 @@ struct Peak {
 // The best picture at each cell.
 struct BestPicture {
   std::vector<float> value;
-  std::vector<uint16_t> from;
+  std::vector<int32_t> from;  // as wide as the values: the comparison is vectorised
 
   explicit BestPicture(size_t size) : value(size, -1), from(size, 0) {}
   void add(const std::vector<float>& picture, size_t index) {
+    const auto number = static_cast<int32_t>(index);
     for (size_t i = 0; i < value.size(); ++i) {
-      if (picture[i] <= value[i]) continue;
-      value[i] = picture[i];
-      from[i] = static_cast<uint16_t>(index);
+      const bool larger = picture[i] > value[i];
+      value[i] = larger ? picture[i] : value[i];
+      from[i] = larger ? number : from[i];
     }
   }
 };
@@ -53,7 +54,7 @@ std::vector<Peak> best_peaks(BestPicture pictures, int rows, int columns, double
     const size_t at = static_cast<size_t>(std::max_element(best.begin(), best.end()) - best.begin());
     if (!(best[at] > 0)) break;
     const Cell cell{static_cast<int>(at) / columns, static_cast<int>(at) % columns};
-    peaks.push_back({cell, pictures.from[at], best[at]});
+    peaks.push_back({cell, static_cast<size_t>(pictures.from[at]), best[at]});
     for (int row = std::max(0, cell.row - reach); row <= std::min(rows - 1, cell.row + reach); ++row) {
       for (int column = std::max(0, cell.column - reach); column <= std::min(columns - 1, cell.column + reach);
            ++column) {
