@@ -10,6 +10,7 @@ int main(int argc, char** argv) {
   const orthonav::test::TemporaryFolder folder;
   setenv("TEST_TMPDIR", folder.path().c_str(), 1);  // testing::TempDir()
   setenv("TMPDIR", folder.path().c_str(), 1);       // std::filesystem::temp_directory_path()
+  setenv("ORTHONAV_BIN", ORTHONAV_BIN, 0);          // what scripts of deploy/ run: this build's programs
   testing::InitGoogleMock(&argc, argv);
   return RUN_ALL_TESTS();
 }
