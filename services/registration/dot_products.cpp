@@ -107,7 +107,8 @@ ORTHONAV_INLINE void evidence_loop(const uint16_t* products, const float* scales
                                    const EvidenceLine& line, float levels, uint8_t* out) {
   const EvidenceLine l = line;
   for (size_t i = 0; i < count; ++i) {
-    out[i] = static_cast<uint8_t>(static_cast<int32_t>(levels * l.evidence(products[i], scales[i], offsets[i]) + 0.5F));
+    const float value = levels * l.evidence(products[i], scales[i], offsets[i]);
+    out[i] = static_cast<uint8_t>(static_cast<int32_t>(value + 0.5F));  // NOLINT: never negative; lround is a call
   }
 }
 
