@@ -31,6 +31,7 @@
 #include <opencv2/imgcodecs.hpp>
 #include <opencv2/imgproc.hpp>
 #include <opencv2/video/tracking.hpp>
+#include <sys/resource.h>
 
 #include "common/bus/process_usage.h"
 #include "common/features/fixed_sift.h"
@@ -404,6 +405,12 @@ MapFeatures plain_around(const MapFeatures& features, double pitch, int64_t coun
 
 constexpr double kGib = 1 << 30;
 
+double peak_memory_gib() {
+  rusage usage{};
+  getrusage(RUSAGE_SELF, &usage);
+  return static_cast<double>(usage.ru_maxrss) / (1 << 20);
+}
+
 void run_growth(const Arguments& arguments) {
   const Scene scene = arroio(arguments.data / "arroio_do_meio");
   if (scene.map.empty() || scene.views.empty()) throw std::runtime_error("no data in " + arguments.data.string());
@@ -453,12 +460,11 @@ void run_growth(const Arguments& arguments) {
       found += at.norm() < 30 ? 1 : 0;
       ++tried;
     }
-    // Nothing was given back yet: this is the most it had.
     const double memory = ProcessUsage::resident_bytes() / kGib - of_the_scene;
     fmt::print(
         "{} {} features: {:.1f} ms a keyframe (median), found {} of {}; ready after {:.1f} s, {:.2f} GiB beside the "
-        "scene's pictures\n",
-        arguments.method, count, median(times), found, tried, 1e-3 * load, memory);
+        "scene's pictures, peak of the process {:.2f} GiB\n",
+        arguments.method, count, median(times), found, tried, 1e-3 * load, memory, peak_memory_gib());
     std::fflush(stdout);
   }
 }
