@@ -8,11 +8,11 @@
 
 #include <opencv2/imgproc.hpp>
 
+#include "common/features/orientation_kernels.h"
+
 namespace orthonav {
 namespace {
 
-constexpr int kChannels = 8;
-constexpr int kCells = 4;
 // Blur of a descriptor's image, map pixels: that of SIFT's first octave.
 constexpr double kBaseSigma = 1.6;
 // Blur an image is assumed to have already, its own pixels.
@@ -28,21 +28,10 @@ constexpr float kMinGradient = 0.4F;
 // Nodes of the field to a cell: its window is smooth, so few are enough.
 constexpr double kNodesPerCell = 4.5;
 
-using Channels = Eigen::Array<float, kChannels, 1>;
-
-// Of a number above -2^31; std::floor is a call where the machine may be an old one.
-int round_down(float value) {
-  const int towards_zero = static_cast<int>(value);
-  return towards_zero - (static_cast<float>(towards_zero) > value ? 1 : 0);
-}
-
 // Image pixels a node gathers, to each side.
 int pixels_per_node(const OrientationFieldOptions& options) {
   return std::max(1, cvRound(1.5 * options.keypoint_size / (kNodesPerCell * options.pixel_width)));
 }
-
-// Column k is 1 in channel k: what goes into two channels is added to all at once, without a jump by which they are.
-const Eigen::Array<float, kChannels, kChannels> kUnits = Eigen::Matrix<float, kChannels, kChannels>::Identity().array();
 
 // Sums of the gradients' magnitudes by direction over blocks of `block` x `block` pixels, row by row from the top.
 class GradientRows {
@@ -69,32 +58,10 @@ class GradientRows {
 
  private:
   void add_line(int v, float* nodes) {
-    constexpr float kPerRadian = static_cast<float>(kChannels / (2 * M_PI));
-    const auto* above = image_.ptr<float>(v - 1);
-    const auto* here = image_.ptr<float>(v);
-    const auto* below = image_.ptr<float>(v + 1);
-    auto* x = du_.ptr<float>();
-    auto* y = dv_.ptr<float>();
-    for (int u = 1; u + 1 < image_.cols; ++u) {
-      x[u] = gain_ * (here[u + 1] - here[u - 1]);
-      y[u] = gain_ * (below[u] - above[u]);
-    }
+    differentiate(image_.ptr<float>(v - 1), image_.ptr<float>(v), image_.ptr<float>(v + 1), image_.cols, gain_,
+                  du_.ptr<float>(), dv_.ptr<float>());
     cv::cartToPolar(du_, dv_, magnitude_, direction_);
-    const auto* m = magnitude_.ptr<float>();
-    const auto* a = direction_.ptr<float>();
-    for (int first = 0; first < image_.cols; first += block_, nodes += kChannels) {
-      Eigen::Map<Channels> node(nodes);
-      Channels sum = node;
-      const int end = std::min(image_.cols, first + block_);
-      for (int u = first; u < end; ++u) {
-        const float bin = a[u] * kPerRadian + turn_;
-        const int lower = static_cast<int>(bin);
-        const float upper_share = (bin - static_cast<float>(lower)) * m[u];
-        sum += (m[u] - upper_share) * kUnits.col(lower & (kChannels - 1)) +
-               upper_share * kUnits.col((lower + 1) & (kChannels - 1));
-      }
-      node = sum;
-    }
+    add_gradients(magnitude_.ptr<float>(), direction_.ptr<float>(), image_.cols, block_, turn_, nodes);
   }
 
   cv::Mat image_;
@@ -114,23 +81,6 @@ std::vector<float> triangle(double half_width) {
   }
   for (float& weight : window) weight /= sum;
   return window;
-}
-
-// out[i] = sum over k of window[k] in[k][i], for `nodes` nodes from `first` on.
-template <int nodes>
-void weigh_nodes(const std::vector<float>& window, const std::vector<const float*>& in, int first, float* out) {
-  using Nodes = Eigen::Array<float, nodes * kChannels, 1>;
-  Nodes sum = Nodes::Zero();
-  for (size_t k = 0; k < window.size(); ++k) sum += window[k] * Eigen::Map<const Nodes>(in[k] + kChannels * first);
-  Eigen::Map<Nodes> target(out + kChannels * first);
-  target = sum;
-}
-
-void weigh(const std::vector<float>& window, const std::vector<const float*>& in, int columns, float* out) {
-  constexpr int kAtOnce = 4;  // whose sums stay in registers
-  int column = 0;
-  for (; column + kAtOnce <= columns; column += kAtOnce) weigh_nodes<kAtOnce>(window, in, column, out);
-  for (; column < columns; ++column) weigh_nodes<1>(window, in, column, out);
 }
 
 // The gradients smoothed by the window in both directions, with one more node of zeros on each side. Row by row, so
@@ -154,8 +104,9 @@ cv::Mat smooth(GradientRows gradients, const std::vector<float>& window) {
     for (int k = 0; k <= 2 * reach; ++k) {
       in_rows[static_cast<size_t>(k)] = below.ptr<float>((v + k + 1) % below.rows);
     }
-    weigh(window, in_rows, columns, across.ptr<float>() + kChannels * reach);
-    weigh(window, in_columns, columns, result.ptr<float>(v + 1) + kChannels);
+    const auto count = static_cast<size_t>(kChannels * columns);
+    weigh(window.data(), in_rows.data(), window.size(), count, across.ptr<float>() + kChannels * reach);
+    weigh(window.data(), in_columns.data(), window.size(), count, result.ptr<float>(v + 1) + kChannels);
   }
   return result;
 }
@@ -173,22 +124,6 @@ const std::array<float, kCells * kCells>& cell_weights() {
     return w;
   }();
   return weights;
-}
-
-// RootSIFT in bytes. False and zeros when the gradients are too weak.
-bool normalise(Eigen::Array<float, kChannels, kCells * kCells>& values, uint8_t* out) {
-  static const float total = std::accumulate(cell_weights().begin(), cell_weights().end(), 0.0F);
-  // Channel by channel first, for each sum waits for the one before.
-  if (!(values.rowwise().sum().sum() > kMinGradient * total)) {
-    std::fill_n(out, kSiftBytes, uint8_t{0});
-    return false;
-  }
-  values = values.min(kLargestShare * std::sqrt(values.square().rowwise().sum().sum()));
-  const float scale = static_cast<float>(kRootSiftLength * kRootSiftLength) / values.rowwise().sum().sum();
-  for (int i = 0; i < kSiftBytes; ++i) {
-    out[i] = static_cast<uint8_t>(static_cast<int>(std::min(255.0F, std::sqrt(scale * values.data()[i]) + 0.5F)));
-  }
-  return true;
 }
 
 }  // namespace
@@ -218,34 +153,16 @@ OrientationField::OrientationField(const cv::Mat& grey, const OrientationFieldOp
 }
 
 bool OrientationField::describe(const Eigen::Vector2f& centre, const Eigen::Matrix2f& jacobian, uint8_t* out) const {
-  Eigen::Array<float, kChannels, kCells * kCells> values;
-  const std::array<float, kCells* kCells>& weights = cell_weights();
   // In nodes; the middle of node 0 is the middle of its block of pixels.
-  const Eigen::Vector2f step_x = cell_ / pixels_per_node_ * jacobian.col(0);
-  const Eigen::Vector2f step_y = cell_ / pixels_per_node_ * jacobian.col(1);
+  const Eigen::Vector2f right = cell_ / pixels_per_node_ * jacobian.col(0);
+  const Eigen::Vector2f down = cell_ / pixels_per_node_ * jacobian.col(1);
   const Eigen::Vector2f middle = (centre.array() - 0.5F * (pixels_per_node_ - 1)) / pixels_per_node_;
-  const Eigen::Vector2f first = middle - 0.5F * (kCells - 1) * (step_x + step_y);
-  for (int cell = 0; cell < kCells * kCells; ++cell) {
-    const int row = cell / kCells;
-    const int column = cell % kCells;
-    const Eigen::Vector2f place = first + static_cast<float>(column) * step_x + static_cast<float>(row) * step_y;
-    if (!(place.x() > -1 && place.y() > -1 && place.x() < static_cast<float>(nodes_.cols - 2) &&
-          place.y() < static_cast<float>(nodes_.rows - 2))) {
-      values.col(cell).setZero();
-      continue;
-    }
-    const int u = round_down(place.x());
-    const int v = round_down(place.y());
-    const float a = place.x() - static_cast<float>(u);
-    const float b = place.y() - static_cast<float>(v);
-    const auto node = [&](int down, int right) {
-      return Eigen::Map<const Channels>(nodes_.ptr<float>(v + 1 + down) + kChannels * (u + 1 + right));
-    };
-    const float weight = weights[static_cast<size_t>(cell)];
-    values.col(cell) = weight * (1 - a) * (1 - b) * node(0, 0) + weight * a * (1 - b) * node(0, 1) +
-                       weight * (1 - a) * b * node(1, 0) + weight * a * b * node(1, 1);
-  }
-  return normalise(values, out);
+  const Eigen::Vector2f first = middle - 0.5F * (kCells - 1) * (right + down);
+  const std::array<float, kCells* kCells>& weights = cell_weights();
+  static const float total = std::accumulate(weights.begin(), weights.end(), 0.0F);
+  return describe_cells({nodes_.ptr<float>(), static_cast<ptrdiff_t>(nodes_.step1()), nodes_.cols, nodes_.rows},
+                        {{first.x(), first.y()}, {right.x(), right.y()}, {down.x(), down.y()}}, weights.data(),
+                        {kMinGradient * total, kLargestShare, static_cast<float>(kRootSiftLength)}, out);
 }
 
 cv::Mat OrientationField::describe(const std::vector<cv::Point2f>& points) const {

@@ -24,8 +24,10 @@ double disagreement(const Sighting& a, const Sighting& b, const FusionOptions& o
   const Eigen::Vector3d moved = turn(yaw, b.keyframe.p_W_B - a.keyframe.p_W_B);
   const Eigen::Vector3d sideways = Eigen::Vector3d::UnitZ().cross(moved);
   // What neighbours share drops out of the difference, the less the further they are apart.
-  const double forgotten = 2.0 * -std::expm1(-moved.norm() / options.fix.shared_distance);
-  const Eigen::Vector3d shared = forgotten * shared_stddev(options, b.keyframe).cwiseAbs2();
+  const auto forgotten = [&](double distance) { return 2.0 * -std::expm1(-moved.norm() / distance); };
+  Eigen::Vector3d shared = shared_stddev(options, b.keyframe).cwiseAbs2();
+  shared.head<2>() *= forgotten(options.fix.shared_distance);
+  shared.z() *= forgotten(options.fix.shared_vertical_distance);
   const double scale_stddev = std::max(a.scale_stddev, b.scale_stddev);
   Eigen::Matrix3d covariance = a.covariance + b.covariance + yaw_stddev * yaw_stddev * sideways * sideways.transpose() +
                                scale_stddev * scale_stddev * moved * moved.transpose();

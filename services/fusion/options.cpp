@@ -34,6 +34,7 @@ void read_fix(ConfigNode node, FixOptions& fix) {
   node.read("shared_horizontal_stddev", fix.shared_horizontal_stddev, 1e-3, 1000.0);
   node.read("shared_vertical_stddev", fix.shared_vertical_stddev, 1e-3, 1000.0);
   node.read("shared_distance", fix.shared_distance, 0.1, 1e6);
+  node.read("shared_vertical_distance", fix.shared_vertical_distance, 0.1, 1e6);
   node.read("stddev_floor", fix.stddev_floor, 1e-3, 1000.0);
   read_deg(node, "heading_stddev_floor_deg", fix.heading_stddev_floor, 180.0);
   node.read("scale_stddev_floor", fix.scale_stddev_floor, 0.0, 1.0);

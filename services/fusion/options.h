@@ -22,8 +22,9 @@ struct EdgeOptions {
 // How well a fix is known.
 struct FixOptions {
   double shared_horizontal_stddev = 0.5;  // m per axis: an error that neighbouring fixes share and none reports
-  double shared_vertical_stddev = 1.2;    // m
-  double shared_distance = 40.0;          // m of way over which it is forgotten
+  double shared_vertical_stddev = 1.0;    // m
+  double shared_distance = 40.0;          // m of way over which it is forgotten, horizontally
+  double shared_vertical_distance = 200;  // m, vertically
   double stddev_floor = 0.5;              // m per axis, added to what a fix says of itself
   double heading_stddev_floor =
       0.026;                         // rad, added to a fitted heading's own: neighbours err alike, towards the compass

@@ -65,9 +65,11 @@ Transition transition_between(const FusionOptions& options, const Keyframe& from
   forget(kTilt + 1, edge.tilt_stddev, duration / edge.tilt_time);
   forget(kScale, edge.scale_stddev, duration / edge.scale_time);
   forget(kCompassBias, options.compass.bias_stddev, duration / options.compass.bias_time);
-  const double way = distance / options.fix.shared_distance;
   const Eigen::Vector3d shared = shared_stddev(options, to);
-  for (int axis = 0; axis < 3; ++axis) forget(kShared + axis, shared(axis), way);
+  for (int axis = 0; axis < 3; ++axis) {
+    forget(kShared + axis, shared(axis),
+           distance / (axis < 2 ? options.fix.shared_distance : options.fix.shared_vertical_distance));
+  }
   return transition;
 }
 

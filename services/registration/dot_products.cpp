@@ -7,13 +7,10 @@
 #endif
 
 #include "common/features/fixed_sift.h"
+#include "common/math/instruction_sets.h"
 
-// The same loops compiled for several instruction sets, the best of which is chosen at run time. What they compute is
-// integers, or floats in an order that does not depend on the vectors' width: all give the same bits.
 namespace orthonav::registration {
 namespace {
-
-#define ORTHONAV_INLINE inline __attribute__((always_inline))
 
 ORTHONAV_INLINE int32_t dot_product_loop(const uint8_t* a, const uint8_t* b) {
   int32_t sum = 0;
@@ -137,6 +134,27 @@ ORTHONAV_INLINE void add_words_loop(const uint16_t* values, float unit, size_t c
   for (size_t i = 0; i < count; ++i) sum[i] += unit * static_cast<float>(values[i]);
 }
 
+ORTHONAV_INLINE float quadratic_form_loop(const float* vector, const float* matrix, size_t size) {
+  constexpr size_t kEach = 8, kAtOnce = 4;  // columns
+  Floats total = {}, values;
+  for (size_t first = 0; first < size; first += kEach * kAtOnce) {
+    Floats sums[kAtOnce] = {};  // NOLINT: as above
+    // Of the blocks beside the diagonal those below it, twice.
+    for (size_t row = first; row < size; ++row) {
+      const float factor = row < first + kEach * kAtOnce ? vector[row] : 2 * vector[row];
+      for (size_t i = 0; i < kAtOnce; ++i) {
+        load(matrix + row * size + first + kEach * i, values);
+        sums[i] += factor * values;
+      }
+    }
+    for (size_t i = 0; i < kAtOnce; ++i) {
+      load(vector + first + kEach * i, values);
+      total += sums[i] * values;
+    }
+  }
+  return sum_of(total);
+}
+
 struct Functions {
   decltype(&coarse_products_any) coarse_products;
   decltype(&add_bytes_any) add_bytes;
@@ -148,6 +166,7 @@ struct Functions {
   void (*largest_words)(const uint16_t*, const uint16_t*, const uint16_t*, size_t, uint16_t*);
   void (*add)(const float*, size_t, float*);
   void (*add_words)(const uint16_t*, float, size_t, float*);
+  float (*quadratic_form)(const float*, const float*, size_t);
 };
 
 // One set of functions for an instruction set; `attribute` is the one that asks for it.
@@ -183,10 +202,13 @@ struct Functions {
   __attribute__((attribute)) void add_words_##suffix(const uint16_t* values, float unit, size_t count, float* sum) { \
     add_words_loop(values, unit, count, sum);                                                                        \
   }                                                                                                                  \
+  __attribute__((attribute)) float quadratic_form_##suffix(const float* vector, const float* matrix, size_t size) {  \
+    return quadratic_form_loop(vector, matrix, size);                                                                \
+  }                                                                                                                  \
   constexpr Functions functions_##suffix = {coarse_products_##suffix, add_bytes_##suffix,     dot_product_##suffix,  \
                                             dot_products_##suffix,    evidence_##suffix,      evidence_at_##suffix,  \
                                             largest_##suffix,         largest_words_##suffix, add_##suffix,          \
-                                            add_words_##suffix};
+                                            add_words_##suffix,       quadratic_form_##suffix};
 
 ORTHONAV_FUNCTIONS(any, )
 #if defined(__x86_64__)
@@ -195,8 +217,7 @@ ORTHONAV_FUNCTIONS(avx2, target("avx2"))
 
 const Functions& functions() {
 #if defined(__x86_64__)
-  static const bool has_avx2 = __builtin_cpu_supports("avx2") != 0;
-  if (has_avx2) return functions_avx2;
+  if (has_avx2()) return functions_avx2;
 #endif
   return functions_any;
 }
@@ -243,6 +264,10 @@ void add(const uint8_t* values, size_t count, uint16_t* sum) {
 
 void add(const uint16_t* values, float unit, size_t count, float* sum) {
   functions().add_words(values, unit, count, sum);
+}
+
+float quadratic_form(const float* vector, const float* matrix, size_t size) {
+  return functions().quadratic_form(vector, matrix, size);
 }
 
 }  // namespace orthonav::registration

@@ -48,4 +48,7 @@ void add(const uint8_t* values, size_t count, uint16_t* sum);
 // sum[i] += unit * values[i].
 void add(const uint16_t* values, float unit, size_t count, float* sum);
 
+// v' M v, M symmetric and size x size, a multiple of 32.
+float quadratic_form(const float* vector, const float* matrix, size_t size);
+
 }  // namespace orthonav::registration

@@ -15,6 +15,9 @@ constexpr int kReach = 160;     // of which there are so many on either side of 
 // before did not; what lies between keyframes that are further apart was not seen.
 constexpr double kMemory = 1.5, kSeenAtOnce = 0.2;
 constexpr int kEnoughLifts = 10;  // on the ground, to do without what was known
+// The way over which the level is averaged, m: elevation models err over some hundred, the odometry's climb over more.
+// What differs from that by more is another ground, and the average begins anew, m.
+constexpr double kAveraged = 200, kAnew = 2.5;
 
 // How tall trees are, and how far a wood reaches: the first 43 m of a flight over one were 12 m too low.
 constexpr double kHidden = 12, kWood = 50;  // m
@@ -53,15 +56,18 @@ void multiply(double lift, double lowest, double stddev, std::array<double, 2 * 
 
 void GroundLevel::add(const std::vector<double>& lifts, double height, const Eigen::Vector3d& p_W_B,
                       double lifts_per_observation) {
+  double seen = kSeenAtOnce * height;
   if (log_likelihoods_.empty()) {
     origin_ = median(lifts);
     log_likelihoods_.assign(2 * kReach + 1, 0.0);
   } else {
     const Eigen::Vector3d moved = p_W_B - p_W_B_;
     const double step = moved.head<2>().norm();
-    const double seen = std::min(step, kSeenAtOnce * height);
+    seen = std::min(step, seen);
     origin_ += moved.z();
+    level_ += moved.z();
     way_ += seen;
+    averaged_ *= std::exp(-step / kAveraged);
     // Keyframes side by side see the same trees.
     lifts_per_observation *= kSeenAtOnce * height / std::max(seen, 1e-3 * height);
     for (double& log_likelihood : log_likelihoods_) log_likelihood *= std::exp(-step / (kMemory * height));
@@ -90,7 +96,14 @@ void GroundLevel::add(const std::vector<double>& lifts, double height, const Eig
     sum += lift;
     ++count;
   }
-  level_ = (sum + std::max(0, kEnoughLifts - count) * mode) / std::max(kEnoughLifts, count);
+  const double here = (sum + std::max(0, kEnoughLifts - count) * mode) / std::max(kEnoughLifts, count);
+  if (averaged_ == 0 || std::abs(here - level_) > kAnew) {
+    level_ = here;
+    averaged_ = kSeenAtOnce * height;
+  } else {
+    averaged_ += seen;
+    level_ += (here - level_) * seen / averaged_;
+  }
 }
 
 double GroundLevel::hidden_stddev() const {

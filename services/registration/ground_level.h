@@ -3,7 +3,8 @@
 // Each point says where the body would be if that point lay on the map's ground (its "lift"). Roofs and canopy say
 // less, and over a wood they are the many: the level is not where most lifts lie but the highest one that is well
 // supported, for nothing lies below the ground. Keyframes before this one, moved along by the odometry's climb, are
-// remembered, because ground seen at the edge of a wood still tells the height over its middle.
+// remembered, because ground seen at the edge of a wood still tells the height over its middle. What the map's own
+// heights err by is averaged along the way, for the odometry's climb is better than they are.
 //
 // Not thread-safe; a value.
 #pragma once
@@ -34,7 +35,7 @@ class GroundLevel {
   Eigen::Vector3d p_W_B_ = Eigen::Vector3d::Zero();  // m, of the body that they are levels of
   double way_ = 0;                                   // m, flown since the first, as far as it was seen
   std::vector<double> log_likelihoods_;              // of the levels
-  double level_ = 0;
+  double level_ = 0, averaged_ = 0;                  // m; the latter the way it is the average of
 };
 
 }  // namespace orthonav::registration

@@ -23,11 +23,14 @@ namespace orthonav::registration {
 struct FitOptions {
   double heading_stddev = 0.05;         // rad, of the compass
   double scale_stddev = 0.025;          // of the odometry
-  double tilt_stddev = 0.005;           // rad per axis, of the odometry's vertical
-  double map_stddev = 0.5;              // m, each of east and north: georeferencing error of the map
-  double ground_height_stddev = 1.0;    // m, of the map's heights
+  double tilt_stddev = 0.003;           // rad per axis, of the odometry's vertical
+  double map_stddev = 0.35;             // m, each of east and north: georeferencing error of the map (0.5 in the plane)
+  double ground_height_stddev = 0.7;    // m, of the map's heights, averaged along the way
   double matches_per_observation = 30;  // so many matches of a keyframe count as one, and so do those of the same point
-  double min_excess = 2.0;              // standard deviations of similarity a match has at least
+  // What all matches err by together, in scale and turn (rad): a patch described under others fits best where they put
+  // it.
+  double common_stddev = 0.01;
+  double min_excess = 2.0;  // standard deviations of similarity a match has at least
 };
 
 // A point and the place on the map it was matched with.

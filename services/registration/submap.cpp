@@ -23,6 +23,9 @@ constexpr double kFittedScaleStddev = 0.01;
 constexpr double kLearntTurnStddev = 3 * kRadian;
 constexpr double kFittedShare = 0.3;
 constexpr double kLargestScaleStddev = 0.1;  // that a session begins with
+// Fixes that teach what is believed, and what the matches of one err by together in turn (rad) and scale with them.
+constexpr int kTaught = 4;
+constexpr double kTaughtStddev = 0.003;
 // Between the headings that a place is looked for under where nothing is known of it: a descriptor stands half of it.
 constexpr double kHeadingStep = 15 * kRadian;
 // The same where another one than the compass's is looked for, and how far from it, in its standard deviations.
@@ -163,7 +166,7 @@ bool SubmapRegistrar::describe(const Keyframe& keyframe, int session, const cv::
     compass_yaw_ = num_headings_ == 1 ? yaw : compass_yaw_ + wrap_angle(yaw - compass_yaw_) / num_headings_;
   }
   Remembered remembered{image, {}};
-  remembered.variants.push_back(described(keyframe, image, 0));
+  remembered.variants.push_back(described(keyframe, image, 0, fitted_scale_.value_or(1.0)));
   refused_ = remembered.variants.front().view->refused;
   if (!refused_.empty()) return false;
   keyframes_.push_front(std::move(remembered));
@@ -189,17 +192,19 @@ std::vector<double> SubmapRegistrar::turns() const {
   return turns;
 }
 
-SubmapRegistrar::Variant SubmapRegistrar::described(const Keyframe& keyframe, const cv::Mat& image, double turn) const {
+SubmapRegistrar::Variant SubmapRegistrar::described(const Keyframe& keyframe, const cv::Mat& image, double turn,
+                                                    double scale) const {
   Variant variant;
   variant.view = std::make_unique<View>(make_view(keyframe, image, camera_, heading_of(keyframe.q_W_B) - yaw() - turn,
-                                                  fitted_scale_.value_or(1.0), *index_, geometry_, options_.query));
+                                                  scale, *index_, geometry_, options_.query));
   return variant;
 }
 
 void SubmapRegistrar::describe_turned(const std::vector<double>& turns) {
   for (Remembered& remembered : keyframes_) {
     for (size_t i = remembered.variants.size(); i < turns.size(); ++i) {
-      remembered.variants.push_back(described(remembered.keyframe(), remembered.image, turns[i]));
+      remembered.variants.push_back(
+          described(remembered.keyframe(), remembered.image, turns[i], fitted_scale_.value_or(1.0)));
     }
   }
   drop_old_fields();
@@ -351,7 +356,7 @@ void SubmapRegistrar::compare_at_full_resolution(const std::vector<PlaceCandidat
 // What few fixes taught may be wrong, and then nothing is found under it: a fix of 8 inliers blinded `testing_zone` 2
 // for 220 s.
 void SubmapRegistrar::miss() {
-  constexpr int kTaught = 4, kDoubted = 8;  // fixes, keyframes
+  constexpr int kDoubted = 8;  // keyframes
   if (++without_fix_ < kDoubted || num_fixes_ >= kTaught || !fitted_yaw_) return;
   fitted_yaw_.reset();
   fitted_scale_.reset();
@@ -378,6 +383,7 @@ bool SubmapRegistrar::is_nearby() const {
 FitOptions SubmapRegistrar::fit_options(size_t variant) const {
   FitOptions options = options_.fit;
   options.scale_stddev = scale_stddev();
+  if (fitted_scale_ && num_fixes_ >= kTaught) options.common_stddev = kTaughtStddev;
   options.heading_stddev = fitted_yaw_               ? kLearntTurnStddev
                            : options_.search_heading ? M_PI
                            : variant > 0             ? 0.5 * kTurnStep
@@ -453,7 +459,8 @@ void SubmapRegistrar::fit_again(Candidate& candidate) {
   const double fitted = keyframes_.front().variants[variant].view->yaw + fit.alignment.turn;
   for (size_t k = 0; k < keyframes_.size() && k < static_cast<size_t>(options_.pose_keyframes); ++k) {
     Remembered& remembered = keyframes_[k];
-    remembered.variants[variant] = described(remembered.keyframe(), remembered.image, wrap_angle(fitted - yaw()));
+    remembered.variants[variant] =
+        described(remembered.keyframe(), remembered.image, wrap_angle(fitted - yaw()), fit.alignment.scale);
   }
   fit = fit_place(views(variant, options_.pose_keyframes), *index_, geometry_.metres_per_pixel, fit.en,
                   {0, fit.alignment.scale}, prior_alignment(variant), fit_options(variant));
@@ -493,7 +500,7 @@ Fix SubmapRegistrar::solve() {
     fix.reason =
         fmt::format("the whole submap looks like a place {:.0f} m from where its newest keyframes fit", disagreement);
   }
-  if (fix.reason.empty() && best.place.variant > 0 && !options_.search_heading) {
+  if (fix.reason.empty() && !fitted_yaw_) {
     fit_again(candidates.front());
     fix.num_inliers = static_cast<int>(fit.inliers);
   }

@@ -8,6 +8,7 @@
 #include <opencv2/imgproc.hpp>
 
 #include "common/math/so3.h"
+#include "services/registration/dot_products.h"
 
 namespace orthonav::registration {
 namespace {
@@ -21,7 +22,7 @@ Background background_of(const uint8_t* descriptor, double factor, const MapInde
   Background background;
   background.product = values.dot(spread.mean_feature);
   background.mean = difference.dot(spread.mean);
-  background.stddev = std::sqrt(std::max(1e-9F, difference.dot(spread.covariance * difference)));
+  background.stddev = std::sqrt(std::max(1e-9F, quadratic_form(difference.data(), spread.covariance.data(), size)));
   return background;
 }
 
@@ -62,6 +63,7 @@ View make_view(const Keyframe& keyframe, const cv::Mat& image, const CameraModel
   const double step = 10 * map.metres_per_pixel;
   const Eigen::Vector3d east = R_G_C.transpose() * Eigen::Vector3d(step, 0, 0);
   const Eigen::Vector3d south = R_G_C.transpose() * Eigen::Vector3d(0, -step, 0);
+  view.points.reserve(keyframe.points.size());
   for (size_t i = 0; i < keyframe.points.size(); ++i) {
     const TrackedPoint& tracked = keyframe.points[i];
     if (!usable(tracked) || tracked.reprojection_error > options.max_reprojection_error) continue;

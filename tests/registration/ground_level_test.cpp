@@ -1,5 +1,6 @@
 #include "services/registration/ground_level.h"
 
+#include <cmath>
 #include <random>
 #include <vector>
 
@@ -85,6 +86,24 @@ TEST(GroundLevel, FollowsWhenTheWoodProvesToBeTheGround) {
     ground.add(scene.lifts(120, 0, 0, kHeight - 6), kHeight, at(0, 60 + 3 * i), kPerObservation);
   }
   EXPECT_NEAR(ground.level(), kHeight - 6, 0.3);
+}
+
+TEST(GroundLevel, AveragesTheErrorsOfTheMapsHeights) {
+  // An elevation model that errs by 1 m up and down every 150 m of way.
+  constexpr double kApart = 2.6, kLength = 150;  // m
+  Scene scene;
+  GroundLevel ground;
+  double squares = 0, here = 0;
+  int count = 0;
+  for (int i = 0; i < 400; ++i) {
+    const double error = std::sin(2 * M_PI * kApart * i / kLength);
+    ground.add(scene.lifts(120, 0, 0, kHeight + error), kHeight, at(0, kApart * i), kPerObservation);
+    if (i < 100) continue;
+    squares += (ground.level() - kHeight) * (ground.level() - kHeight);
+    here += error * error;
+    ++count;
+  }
+  EXPECT_LT(std::sqrt(squares / count), 0.4 * std::sqrt(here / count));
 }
 
 TEST(GroundLevel, MayLieLowerUntilMoreThanAWoodWasSeen) {
