@@ -80,11 +80,12 @@ cv::Mat warp_mask(const cv::Mat& mask, const Mapping& mapping) {
   for (int v = 0; v < out.rows; ++v) {
     const auto* whole = mapping.whole.ptr<cv::Vec2s>(v);
     const auto* fractions = mapping.fractions.ptr<uint16_t>(v);
+    auto* to = out.ptr<uchar>(v);
     for (int u = 0; u < out.cols; ++u) {
       const int x = whole[u][0] + ((fractions[u] & kHalf) != 0 ? 1 : 0);
       const int y = whole[u][1] + ((fractions[u] >> kFraction & kHalf) != 0 ? 1 : 0);
       const bool inside = x >= 0 && y >= 0 && x < mask.cols && y < mask.rows;
-      out.at<uchar>(v, u) = inside ? mask.at<uchar>(y, x) : uchar{0};
+      to[u] = inside ? mask.ptr<uchar>(y)[x] : uchar{0};
     }
   }
   return out;

@@ -170,24 +170,28 @@ BlockFeatures BlockBuilder::build(const Block& block) {
                       ? sift_.describe(picture.grey, points)
                       : OrientationField(picture.grey, {.keypoint_size = options_.keypoint_size}).describe(points);
   }
+  const Eigen::Vector2d corner(level.east_min + block.tiles.x * level.tile_size,
+                               level.north_min + block.tiles.y * level.tile_size);
+  const GroundPatch patch(surface_, frame_, corner,
+                          corner + level.tile_size * Eigen::Vector2d(block.tiles.width, block.tiles.height));
   for (size_t i = 0; i < points.size(); ++i) {
     const cv::Point2f& point = points[i];
     const Eigen::Vector2d en = position(block.level, picture.i0 + point.x, picture.j0 + point.y);
     const int tile = tile_in(block, en);
     if (tile < 0 || picture.valid.at<uchar>(cv::Point(cvRound(point.x), cvRound(point.y))) == 0) continue;
-    const cv::Mat descriptor = descriptors.row(static_cast<int>(i));
-    if (cv::countNonZero(descriptor) == 0) {
+    const uchar* descriptor = descriptors.ptr(static_cast<int>(i));
+    if (std::all_of(descriptor, descriptor + kSiftBytes, [](uchar byte) { return byte == 0; })) {
       ++result.without_texture;
       continue;
     }
-    const GroundPoint ground = surface_.below(frame_, en);
-    if (!ground.known) {
+    const std::optional<double> up = patch.up(en);
+    if (!up) {
       ++result.without_data;
       continue;
     }
     TileFeatures& target = result.tiles[static_cast<size_t>(tile)].features;
-    target.positions.emplace_back(en.cast<float>().x(), en.cast<float>().y(), static_cast<float>(ground.up));
-    target.descriptors.insert(target.descriptors.end(), descriptor.ptr(), descriptor.ptr() + kSiftBytes);
+    target.positions.emplace_back(en.cast<float>().x(), en.cast<float>().y(), static_cast<float>(*up));
+    target.descriptors.insert(target.descriptors.end(), descriptor, descriptor + kSiftBytes);
   }
   return result;
 }

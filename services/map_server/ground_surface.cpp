@@ -10,6 +10,7 @@
 namespace orthonav::map_server {
 namespace {
 
+constexpr int kPatchSteps = 16;
 constexpr double kMaxHeld = 4e6;  // heights of a model held at once: 16 MB
 
 }  // namespace
@@ -76,9 +77,12 @@ double GroundSurface::Heights::at(const Eigen::Vector2d& pixel) const {
   return (1 - b) * ((1 - a) * value(0, 0) + a * value(1, 0)) + b * ((1 - a) * value(0, 1) + a * value(1, 1));
 }
 
-double GroundSurface::height_at(const Geodetic& position) const {
+Eigen::Vector2d GroundSurface::pixel_of(const Geodetic& position) const {
+  return model_ ? model_->geodetic_to_pixel(position) : Eigen::Vector2d::Zero();
+}
+
+double GroundSurface::height_at(const Eigen::Vector2d& pixel) const {
   if (!model_) return reference_height_;
-  const Eigen::Vector2d pixel = model_->geodetic_to_pixel(position);
   if (near_.window.contains(
           cv::Point(static_cast<int>(std::floor(pixel.x())), static_cast<int>(std::floor(pixel.y()))))) {
     return near_.at(pixel);
@@ -87,7 +91,7 @@ double GroundSurface::height_at(const Geodetic& position) const {
 }
 
 Geodetic GroundSurface::at(const Geodetic& position) const {
-  const double height = height_at(position);
+  const double height = height_at(pixel_of(position));
   return {position.latitude_deg, position.longitude_deg, std::isfinite(height) ? height : reference_height_};
 }
 
@@ -98,7 +102,7 @@ GroundPoint GroundSurface::below(const EnuFrame& frame, const Eigen::Vector2d& e
   GroundPoint ground;
   for (int i = 0; i < 4; ++i) {
     ground.position = frame.to_geodetic({en.x(), en.y(), ground.up});
-    const double height = height_at(ground.position);
+    const double height = height_at(pixel_of(ground.position));
     ground.known = std::isfinite(height);
     const double error = (ground.known ? height : reference_height_) - ground.position.height;
     ground.up += error;
@@ -106,6 +110,31 @@ GroundPoint GroundSurface::below(const EnuFrame& frame, const Eigen::Vector2d& e
     if (std::abs(error) * en.norm() < kEnough * kEarthRadius) break;
   }
   return ground;
+}
+
+GroundPatch::GroundPatch(const GroundSurface& surface, const EnuFrame& frame, const Eigen::Vector2d& south_west,
+                         const Eigen::Vector2d& north_east)
+    : surface_(&surface), south_west_(south_west), spacing_((north_east - south_west) / kPatchSteps) {
+  for (int row = 0; row <= kPatchSteps; ++row) {
+    for (int column = 0; column <= kPatchSteps; ++column) {
+      const GroundPoint ground = surface.below(frame, south_west + spacing_.cwiseProduct(Eigen::Vector2d(column, row)));
+      const Eigen::Vector2d pixel = surface.pixel_of(ground.position);
+      nodes_.emplace_back(pixel.x(), pixel.y(), ground.position.height - ground.up);
+    }
+  }
+}
+
+std::optional<double> GroundPatch::up(const Eigen::Vector2d& en) const {
+  const Eigen::Vector2d place = (en - south_west_).cwiseQuotient(spacing_);
+  const int column = std::clamp(static_cast<int>(place.x()), 0, kPatchSteps - 1);
+  const int row = std::clamp(static_cast<int>(place.y()), 0, kPatchSteps - 1);
+  const double a = place.x() - column, b = place.y() - row;
+  const Eigen::Vector3d* node = &nodes_[static_cast<size_t>(row * (kPatchSteps + 1) + column)];
+  const Eigen::Vector3d* above = node + kPatchSteps + 1;
+  const Eigen::Vector3d between = (1 - b) * ((1 - a) * node[0] + a * node[1]) + b * ((1 - a) * above[0] + a * above[1]);
+  const double height = surface_->height_at(Eigen::Vector2d(between.head<2>()));
+  if (!std::isfinite(height)) return std::nullopt;
+  return height - between.z();
 }
 
 }  // namespace orthonav::map_server

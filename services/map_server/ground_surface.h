@@ -3,6 +3,7 @@
 
 #include <filesystem>
 #include <memory>
+#include <optional>
 #include <vector>
 
 #include <Eigen/Core>
@@ -43,6 +44,10 @@ class GroundSurface {
   // The ground where G's east and north have these values.
   GroundPoint below(const EnuFrame& frame, const Eigen::Vector2d& en) const;
 
+  // Of the model, if there is one: the pixel of a position, and the height at a pixel, NaN without data.
+  Eigen::Vector2d pixel_of(const Geodetic& position) const;
+  double height_at(const Eigen::Vector2d& pixel) const;
+
  private:
   // Part of the model: heights at every `step` pixels of its raster.
   struct Heights {
@@ -52,12 +57,29 @@ class GroundSurface {
     double at(const Eigen::Vector2d& pixel) const;  // NaN outside
   };
   cv::Rect window_around(const std::vector<Geodetic>& area) const;
-  double height_at(const Geodetic& position) const;  // NaN without data
-
   double reference_height_;
   std::unique_ptr<Raster> model_;
   Heights all_;
   Heights near_;  // empty unless all_ is thinned out
+};
+
+// The same for many places of a small part of G, some kilometres wide: conversions are interpolated between nodes, to
+// less than a millimetre. `surface` must outlive it, and stay focused on that part.
+class GroundPatch {
+ public:
+  // Corners of the part, m in G.
+  GroundPatch(const GroundSurface& surface, const EnuFrame& frame, const Eigen::Vector2d& south_west,
+              const Eigen::Vector2d& north_east);
+
+  // Height in G of the ground below a place of the part, m; nothing where the model has no data.
+  std::optional<double> up(const Eigen::Vector2d& en) const;
+
+ private:
+  const GroundSurface* surface_;
+  Eigen::Vector2d south_west_, spacing_;
+  // By row from the south and column from the west: the model's pixel, and what a height above the ellipsoid is more
+  // than one in G.
+  std::vector<Eigen::Vector3d> nodes_;
 };
 
 }  // namespace orthonav::map_server

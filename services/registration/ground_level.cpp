@@ -17,7 +17,8 @@ constexpr double kMemory = 1.5, kSeenAtOnce = 0.2;
 constexpr int kEnoughLifts = 10;  // on the ground, to do without what was known
 // The way over which the level is averaged, m: elevation models err over some hundred, the odometry's climb over more.
 // What differs from that by more is another ground, and the average begins anew, m.
-constexpr double kAveraged = 200, kAnew = 2.5;
+// Where little way is flown a keyframe counts as much as one after so many metres.
+constexpr double kAveraged = 200, kAnew = 2.5, kLeastStep = 1;
 
 // How tall trees are, and how far a wood reaches: the first 43 m of a flight over one were 12 m too low.
 constexpr double kHidden = 12, kWood = 50;  // m
@@ -56,14 +57,14 @@ void multiply(double lift, double lowest, double stddev, std::array<double, 2 * 
 
 void GroundLevel::add(const std::vector<double>& lifts, double height, const Eigen::Vector3d& p_W_B,
                       double lifts_per_observation) {
-  double seen = kSeenAtOnce * height;
+  double step = 0;
   if (log_likelihoods_.empty()) {
     origin_ = median(lifts);
     log_likelihoods_.assign(2 * kReach + 1, 0.0);
   } else {
     const Eigen::Vector3d moved = p_W_B - p_W_B_;
-    const double step = moved.head<2>().norm();
-    seen = std::min(step, seen);
+    step = moved.head<2>().norm();
+    const double seen = std::min(step, kSeenAtOnce * height);
     origin_ += moved.z();
     level_ += moved.z();
     way_ += seen;
@@ -97,13 +98,10 @@ void GroundLevel::add(const std::vector<double>& lifts, double height, const Eig
     ++count;
   }
   const double here = (sum + std::max(0, kEnoughLifts - count) * mode) / std::max(kEnoughLifts, count);
-  if (averaged_ == 0 || std::abs(here - level_) > kAnew) {
-    level_ = here;
-    averaged_ = kSeenAtOnce * height;
-  } else {
-    averaged_ += seen;
-    level_ += (here - level_) * seen / averaged_;
-  }
+  if (std::abs(here - level_) > kAnew) averaged_ = 0;
+  const double counts = std::clamp(step, kLeastStep, kSeenAtOnce * height);
+  averaged_ = std::min(averaged_ + counts, kAveraged);
+  level_ += (here - level_) * counts / averaged_;
 }
 
 double GroundLevel::hidden_stddev() const {
