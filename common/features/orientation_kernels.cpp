@@ -74,9 +74,10 @@ ORTHONAV_INLINE int round_down(float value) {
 ORTHONAV_INLINE void sample_cells(const NodeField& field, const CellPlaces& places, const float* weights,
                                   float* histograms) {
   for (int cell = 0; cell < kCells * kCells; ++cell, histograms += kChannels) {
-    const auto row = static_cast<float>(cell / kCells), column = static_cast<float>(cell % kCells);
-    const float x = places.first[0] + column * places.right[0] + row * places.down[0];
-    const float y = places.first[1] + column * places.right[1] + row * places.down[1];
+    const int row = cell / kCells, column = cell % kCells;
+    const auto right = static_cast<float>(column), down = static_cast<float>(row);
+    const float x = places.first[0] + right * places.right[0] + down * places.down[0];
+    const float y = places.first[1] + right * places.right[1] + down * places.down[1];
     Node sum = {};
     // The outermost nodes are the field's border of zeros.
     if (x > -1 && y > -1 && x < static_cast<float>(field.columns - 2) && y < static_cast<float>(field.rows - 2)) {
