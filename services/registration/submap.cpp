@@ -257,9 +257,11 @@ void SubmapRegistrar::search(const std::optional<PositionPrior>& prior) {
   if (!refused_.empty()) return;
   const Eigen::Vector2d size = index_->pitch() * Eigen::Vector2d(index_->columns(), index_->rows());
   radius_ = std::numeric_limits<double>::infinity();
+  expected_radius_ = 0;
   if (prior && prior->en.allFinite() && std::isfinite(prior->stddev)) {
-    const double radius = std::max(options_.min_radius, options_.bound_stddevs * prior->stddev) *
-                          std::pow(options_.widening, std::min(without_fix_, 50));
+    expected_ = prior->en;
+    expected_radius_ = std::max(options_.min_radius, options_.bound_stddevs * prior->stddev);
+    const double radius = expected_radius_ * std::pow(options_.widening, std::min(without_fix_, 50));
     if (radius < 0.5 * size.norm()) radius_ = radius;
   }
   const std::vector<double> turns = this->turns();
@@ -494,7 +496,7 @@ Fix SubmapRegistrar::solve() {
   fix.num_inliers = static_cast<int>(fit.inliers);
   if (candidates.size() > 1) fix.num_second_inliers = static_cast<int>(candidates[1].fit.inliers);
   fix.reason = doubt({fix.log_likelihood, fix.log_likelihood_ratio, aligned_share(best), fix.num_inliers,
-                      fix.num_second_inliers, is_nearby()},
+                      fix.num_second_inliers, is_nearby() && (fit.en - expected_).norm() <= expected_radius_},
                      options_);
   if (fix.reason.empty() && disagreement > 0) {
     fix.reason =

@@ -68,7 +68,7 @@ struct Standing {
   double log_likelihood_ratio = 0;  // less that of the other place
   double aligned_share = 0;         // of the points, how many stay where they are aligned to the map
   int inliers = 0, second_inliers = 0;
-  bool is_expected = false;  // the search was for a place where the aircraft is expected closely
+  bool is_expected = false;  // the place is where the aircraft is expected closely
 };
 
 // Why such a place is not accepted; empty when it is.
@@ -181,6 +181,9 @@ class SubmapRegistrar {
   std::string refused_;
   std::vector<Place> places_;
   double radius_ = 0;
+  // Where the aircraft is expected, m: the search is widened beyond that where it was not found there of late.
+  Eigen::Vector2d expected_ = Eigen::Vector2d::Zero();
+  double expected_radius_ = 0;
 };
 
 }  // namespace orthonav::registration
