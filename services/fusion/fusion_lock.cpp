@@ -202,7 +202,7 @@ bool Fusion::within_gate(const Sighting& sighting) const {
 void Fusion::use(const Sighting& sighting) {
   const int id = sighting.keyframe.id;
   const Fix& fix = sighting.fix;
-  graph_->add_position(id, sighting.p_G_B, sighting.covariance);
+  graph_->add_position(id, sighting.p_G_B, options_.fix.fixes_per_observation * sighting.covariance);
   // So that neighbours that look at the same points do not count as if each looked at its own.
   const double shared = std::sqrt(static_cast<double>(std::max(1, fix.num_keyframes)));
   if (fix.heading_fitted && fix.heading_stddev > 0.0) {

@@ -57,6 +57,7 @@ TEST(FusionOptions, TheShippedDefaultsAreThoseOfTheCode) {
   EXPECT_NEAR(file.fix.shared_vertical_stddev, code.fix.shared_vertical_stddev, 1e-9);
   EXPECT_NEAR(file.fix.shared_distance, code.fix.shared_distance, 1e-9);
   EXPECT_NEAR(file.fix.shared_vertical_distance, code.fix.shared_vertical_distance, 1e-9);
+  EXPECT_NEAR(file.fix.fixes_per_observation, code.fix.fixes_per_observation, 1e-9);
   EXPECT_NEAR(file.compass.bias_stddev, code.compass.bias_stddev, 3e-3);
   EXPECT_EQ(file.gate.lock_fixes, code.gate.lock_fixes);
   EXPECT_NEAR(file.gate.lock_distance, code.gate.lock_distance, 1e-9);
