@@ -484,6 +484,30 @@ TEST_F(SubmapTest, SearchesAroundTheExpectedPlaceAndWidensWhenItIsNotThere) {
   EXPECT_LT(tries, 10);
 }
 
+TEST_F(SubmapTest, WhatLiesInTheWidenedPartOfASearchIsNotExpected) {
+  SubmapOptions strict;  // accepts nothing but where the aircraft is expected
+  strict.min_evidence = strict.min_aligned_share = 10;
+  const Capture capture = ground_.capture({95, -80, 60}, 1.0, 0.03, -0.04);
+  SubmapRegistrar registrar(strict, test_camera());
+  registrar.set_map(features(), kMap);
+  EXPECT_TRUE(add(registrar, capture, capture.heading, PositionPrior{{105, -88}, 2}).valid);
+  SubmapRegistrar lost(strict, test_camera());
+  lost.set_map(features(), kMap);
+  const Fix here = add(lost, capture, capture.heading, PositionPrior{{95, -61}, 2});  // 19 m off, 15 m are searched
+  EXPECT_FALSE(here.valid);
+  const Fix wider = add(lost, capture, capture.heading, PositionPrior{{95, -61}, 2});
+  EXPECT_EQ(wider.search_radius, 22.5);
+  EXPECT_LT(
+      (wider.translation +
+       (rotation_G_W(capture.keyframe.q_W_B, capture.heading.value + wider.heading_correction) * capture.keyframe.p_W_B)
+           .head<2>() -
+       capture.p_G_B.head<2>())
+          .norm(),
+      1.0)
+      << "found, ";
+  EXPECT_FALSE(wider.valid) << "but not believed";
+}
+
 TEST_F(SubmapTest, IsNotSureOnAnotherGround) {
   SubmapRegistrar registrar({}, test_camera());
   registrar.set_map(features(), kMap);
