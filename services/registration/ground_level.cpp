@@ -16,9 +16,10 @@ constexpr int kReach = 160;     // of which there are so many on either side of 
 constexpr double kMemory = 1.5, kSeenAtOnce = 0.2;
 constexpr int kEnoughLifts = 10;  // on the ground, to do without what was known
 // The way over which the level is averaged, m: elevation models err over some hundred, the odometry's climb over more.
-// What differs from that by more is another ground, and the average begins anew, m.
+// At first, a share of what was flown: the first keyframes' depths are the worst, and would be held on to.
+// What differs from the average by more is another ground, and it begins anew, m.
 // Where little way is flown a keyframe counts as much as one after so many metres.
-constexpr double kAveraged = 200, kAnew = 2.5, kLeastStep = 1;
+constexpr double kAveraged = 200, kShareAveraged = 0.4, kAnew = 2.5, kLeastStep = 1;
 
 // How tall trees are, and how far a wood reaches: the first 43 m of a flight over one were 12 m too low.
 constexpr double kHidden = 12, kWood = 50;  // m
@@ -100,7 +101,7 @@ void GroundLevel::add(const std::vector<double>& lifts, double height, const Eig
   const double here = (sum + std::max(0, kEnoughLifts - count) * mode) / std::max(kEnoughLifts, count);
   if (std::abs(here - level_) > kAnew) averaged_ = 0;
   const double counts = std::clamp(step, kLeastStep, kSeenAtOnce * height);
-  averaged_ = std::min(averaged_ + counts, kAveraged);
+  averaged_ = std::clamp(averaged_ + counts, counts, std::max(counts, std::min(kAveraged, kShareAveraged * way_)));
   level_ += (here - level_) * counts / averaged_;
 }
 
