@@ -356,10 +356,10 @@ void SubmapRegistrar::compare_at_full_resolution(const std::vector<PlaceCandidat
 }
 
 // What few fixes taught may be wrong, and then nothing is found under it: a fix of 8 inliers blinded `testing_zone` 2
-// for 220 s.
+// for 220 s. Four of them blinded it for good.
 void SubmapRegistrar::miss() {
-  constexpr int kDoubted = 8;  // keyframes
-  if (++without_fix_ < kDoubted || num_fixes_ >= kTaught || !fitted_yaw_) return;
+  constexpr int kDoubted = 8, kDoubtedLong = 24;  // keyframes
+  if (++without_fix_ < (num_fixes_ < kTaught ? kDoubted : kDoubtedLong) || !fitted_yaw_) return;
   fitted_yaw_.reset();
   fitted_scale_.reset();
 }
