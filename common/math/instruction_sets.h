@@ -26,14 +26,12 @@ ORTHONAV_INLINE float sum_of(const Floats& of) {
   return ((of[0] + of[1]) + (of[2] + of[3])) + ((of[4] + of[5]) + (of[6] + of[7]));
 }
 
+#if defined(__x86_64__)
 // Whether what is compiled with target("avx2") runs here.
 inline bool has_avx2() {
-#if defined(__x86_64__)
   static const bool has = __builtin_cpu_supports("avx2") != 0;
   return has;
-#else
-  return false;
-#endif
 }
+#endif
 
 }  // namespace orthonav

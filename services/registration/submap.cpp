@@ -166,7 +166,7 @@ bool SubmapRegistrar::describe(const Keyframe& keyframe, int session, const cv::
     compass_yaw_ = num_headings_ == 1 ? yaw : compass_yaw_ + wrap_angle(yaw - compass_yaw_) / num_headings_;
   }
   Remembered remembered{image, {}};
-  remembered.variants.push_back(described(keyframe, image, 0, fitted_scale_.value_or(1.0)));
+  remembered.variants.push_back(described(keyframe, image, 0));
   refused_ = remembered.variants.front().view->refused;
   if (!refused_.empty()) return false;
   keyframes_.push_front(std::move(remembered));
@@ -192,19 +192,17 @@ std::vector<double> SubmapRegistrar::turns() const {
   return turns;
 }
 
-SubmapRegistrar::Variant SubmapRegistrar::described(const Keyframe& keyframe, const cv::Mat& image, double turn,
-                                                    double scale) const {
+SubmapRegistrar::Variant SubmapRegistrar::described(const Keyframe& keyframe, const cv::Mat& image, double turn) const {
   Variant variant;
   variant.view = std::make_unique<View>(make_view(keyframe, image, camera_, heading_of(keyframe.q_W_B) - yaw() - turn,
-                                                  scale, *index_, geometry_, options_.query));
+                                                  fitted_scale_.value_or(1.0), *index_, geometry_, options_.query));
   return variant;
 }
 
 void SubmapRegistrar::describe_turned(const std::vector<double>& turns) {
   for (Remembered& remembered : keyframes_) {
     for (size_t i = remembered.variants.size(); i < turns.size(); ++i) {
-      remembered.variants.push_back(
-          described(remembered.keyframe(), remembered.image, turns[i], fitted_scale_.value_or(1.0)));
+      remembered.variants.push_back(described(remembered.keyframe(), remembered.image, turns[i]));
     }
   }
   drop_old_fields();
@@ -356,10 +354,10 @@ void SubmapRegistrar::compare_at_full_resolution(const std::vector<PlaceCandidat
 }
 
 // What few fixes taught may be wrong, and then nothing is found under it: a fix of 8 inliers blinded `testing_zone` 2
-// for 220 s. Four of them blinded it for good.
+// for 220 s.
 void SubmapRegistrar::miss() {
-  constexpr int kDoubted = 8, kDoubtedLong = 24;  // keyframes
-  if (++without_fix_ < (num_fixes_ < kTaught ? kDoubted : kDoubtedLong) || !fitted_yaw_) return;
+  constexpr int kDoubted = 8;  // keyframes
+  if (++without_fix_ < kDoubted || num_fixes_ >= kTaught || !fitted_yaw_) return;
   fitted_yaw_.reset();
   fitted_scale_.reset();
 }
@@ -461,8 +459,7 @@ void SubmapRegistrar::fit_again(Candidate& candidate) {
   const double fitted = keyframes_.front().variants[variant].view->yaw + fit.alignment.turn;
   for (size_t k = 0; k < keyframes_.size() && k < static_cast<size_t>(options_.pose_keyframes); ++k) {
     Remembered& remembered = keyframes_[k];
-    remembered.variants[variant] =
-        described(remembered.keyframe(), remembered.image, wrap_angle(fitted - yaw()), fit.alignment.scale);
+    remembered.variants[variant] = described(remembered.keyframe(), remembered.image, wrap_angle(fitted - yaw()));
   }
   fit = fit_place(views(variant, options_.pose_keyframes), *index_, geometry_.metres_per_pixel, fit.en,
                   {0, fit.alignment.scale}, prior_alignment(variant), fit_options(variant));
@@ -502,7 +499,7 @@ Fix SubmapRegistrar::solve() {
     fix.reason =
         fmt::format("the whole submap looks like a place {:.0f} m from where its newest keyframes fit", disagreement);
   }
-  if (fix.reason.empty() && !fitted_yaw_) {
+  if (fix.reason.empty() && !fitted_yaw_ && !options_.search_heading) {
     fit_again(candidates.front());
     fix.num_inliers = static_cast<int>(fit.inliers);
   }

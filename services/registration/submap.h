@@ -120,7 +120,7 @@ class SubmapRegistrar {
   std::vector<double> turns() const;
   // Rotation about z that takes W to G, as fixes have it or else the compass.
   double yaw() const { return fitted_yaw_.value_or(compass_yaw_); }
-  Variant described(const Keyframe& keyframe, const cv::Mat& image, double turn, double scale) const;
+  Variant described(const Keyframe& keyframe, const cv::Mat& image, double turn) const;
   // Describes the keyframes under those of the turns under which they are not yet.
   void describe_turned(const std::vector<double>& turns);
   // Of keyframes that no poses are made of any more.
@@ -151,8 +151,9 @@ class SubmapRegistrar {
   double aligned_share(const Candidate& place) const;
   // The best different places, the likeliest first by likelihood and aligned points; nearby, the best one.
   std::vector<Candidate> fit_best_places() const;
-  // A patch described under a heading or scale that is off fits best where that puts it: describes what poses are made
-  // of under those that were fitted, and fits again.
+  // A patch described under a heading that is off fits best where that heading puts it: describes what poses are made
+  // of under the heading that was fitted, and fits again. Not under the scale: few points of a first fix tell it badly,
+  // and the next ones would be fitted under it (`testing_zone` 2 `years` was lost for it).
   void fit_again(Candidate& candidate);
   // How far (m) from a fit the whole submap may have its place: it goes by cells, and its odometry errs.
   double submap_give() const;
