@@ -39,6 +39,7 @@ struct Fix {
   double heading_correction_stddev = kUnknown;  // rad
   double log_likelihood = kUnknown;
   double log_likelihood_ratio = kUnknown;
+  double evidence = kUnknown;       // for the place (method submap)
   double search_radius = kUnknown;  // m
   int num_keyframes = 1;
   std::vector<Pair> pairs;  // inliers, also of a refused fix

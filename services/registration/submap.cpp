@@ -33,17 +33,22 @@ constexpr double kTurnStep = 9 * kRadian, kFurthestTurn = 4.5;
 // Of the newest points, the share that has to stay aligned for their fit to be believed without asking the rest of the
 // submap: with less, fits over crops in rows and woods were rows and crowns off, up to 25 m.
 constexpr double kSureShare = 0.2;
-// What the share of points that stay aligned with the map counts, beside the likelihood ratio's share.
-constexpr double kInlierEvidence = 3;
-// The same where places are put in order: the points are those of the newest keyframes, which may see a wood, the
-// likelihood is the whole submap's. At 3, `rural` 5 `years` took the less likely of two places for 40 s.
+// What the share of points that stay aligned with the map counts, beside the likelihood as a share of the highest,
+// where places are put in order: the points are those of the newest keyframes, which may see a wood, the likelihood is
+// the whole submap's. At 3, `rural` 5 `years` took the less likely of two places for 40 s.
 constexpr double kInlierOrder = 1.2;
-// What that share counts in accepting a place, and the log-likelihood ratio that counts as 1: where little ground was
-// seen, a large share is of little.
+// What speaks for a place where the aircraft is not expected: that share, the log-likelihood ratio's share, the ratio
+// that counts as 1 (where little ground was seen, large shares are of little), and each piece of new ground it has held
+// over, up to so many. Against it: each keyframe of the submap, for among many points some are alike anywhere; without
+// this wrong places had 1.2 over a few keyframes and 2.2 over 16.
 constexpr double kShareEvidence = 2;
-constexpr double kRatioEvidence = 1500;
-// A place also stands out when so many times more points align there than at the second, and this likelihood share.
-constexpr double kStandsOut = 2.5, kStandsOutShare = 0.2;
+constexpr double kInlierEvidence = 3;
+constexpr double kRatioEvidence = 3000;
+constexpr double kHeldEvidence = 0.1;
+constexpr int kMostHeld = 16;
+constexpr double kLengthEvidence = 0.0375;
+// And the least of the log-likelihood ratio's share.
+constexpr double kLeastShare = 0.2;
 // Places to which matches are aligned, to compare how many stay.
 constexpr size_t kPlacesFitted = 3;
 
@@ -76,7 +81,6 @@ SubmapOptions SubmapOptions::from_config(ConfigNode& node) {
   submap.read("min_likelihood_ratio", options.min_likelihood_ratio, 0, 1e9);
   submap.read("min_likelihood_share", options.min_likelihood_share, 0, 1);
   submap.read("min_evidence", options.min_evidence, 0, 10);
-  submap.read("min_aligned_share", options.min_aligned_share, 0, 1);
   submap.read("min_inliers", options.min_inliers, 6, 10000);
   submap.read("scale_stddev", options.fit.scale_stddev, 1e-4, 1);
   double tilt_stddev_deg = options.fit.tilt_stddev / kRadian;
@@ -89,19 +93,20 @@ SubmapOptions SubmapOptions::from_config(ConfigNode& node) {
   return options;
 }
 
+double evidence(const Standing& place) {
+  return kShareEvidence * place.log_likelihood_ratio / place.log_likelihood + kInlierEvidence * place.aligned_share +
+         place.log_likelihood_ratio / kRatioEvidence + kHeldEvidence * std::min(place.held, kMostHeld) -
+         kLengthEvidence * place.num_keyframes;
+}
+
 std::string doubt(const Standing& place, const SubmapOptions& options) {
   const double share = place.log_likelihood_ratio / place.log_likelihood;
-  const double evidence =
-      kShareEvidence * share + kInlierEvidence * place.aligned_share + place.log_likelihood_ratio / kRatioEvidence;
-  const bool large = place.log_likelihood_ratio >= options.min_likelihood_ratio;
-  const bool clear =
-      large && share >= options.min_likelihood_share && (place.is_expected || evidence >= options.min_evidence);
-  const bool stands_out = large && !place.is_expected && share >= kStandsOutShare &&
-                          place.inliers >= kStandsOut * place.second_inliers &&
-                          place.aligned_share >= options.min_aligned_share;
-  if (!clear && !stands_out) {
-    return fmt::format("another place is nearly as likely: log-likelihood ratio {:.0f} of {:.0f}, evidence {:.2f}",
-                       place.log_likelihood_ratio, place.log_likelihood, evidence);
+  const bool clear = place.is_expected ? share >= options.min_likelihood_share
+                                       : share >= kLeastShare && evidence(place) >= options.min_evidence;
+  if (!clear || place.log_likelihood_ratio < options.min_likelihood_ratio) {
+    return fmt::format(
+        "another place is nearly as likely: log-likelihood ratio {:.0f} of {:.0f}, evidence {:.2f}, held {}",
+        place.log_likelihood_ratio, place.log_likelihood, evidence(place), place.held);
   }
   if (place.inliers < options.min_inliers) {
     return fmt::format("{} inliers, {} are needed", place.inliers, options.min_inliers);
@@ -151,6 +156,7 @@ bool SubmapRegistrar::describe(const Keyframe& keyframe, int session, const cv::
     fitted_yaw_.reset();
     fitted_scale_.reset();
     ground_ = {};
+    held_ = {};
     num_fixes_ = 0;
   }
   places_.clear();
@@ -376,6 +382,15 @@ void SubmapRegistrar::learn_from(const FittedPose& pose, size_t variant) {
   }
 }
 
+// Nearby any place agrees with any other: it is no news that it held.
+int SubmapRegistrar::hold(const Place& place) {
+  if (is_nearby()) return 0;
+  const View& newest = *keyframes_.front().variants[place.variant].view;
+  held_.found(newest.keyframe.p_W_B.head<2>(), place.en, place.alignment.from_W(newest.yaw), options_.second_distance,
+              options_.keyframe_spacing * newest.keyframe.height_above_ground);
+  return held_.new_ground();
+}
+
 bool SubmapRegistrar::is_nearby() const {
   return radius_ <= kFineRadius;
 }
@@ -418,11 +433,11 @@ std::vector<SubmapRegistrar::Candidate> SubmapRegistrar::fit_best_places() const
     if (std::none_of(candidates.begin(), candidates.end(), same)) candidates.push_back(std::move(candidate));
   }
   const double most_likely = places_.front().likelihood;
-  const auto evidence = [&](const Candidate& each) {
+  const auto order = [&](const Candidate& each) {
     return each.place.likelihood / most_likely + kInlierOrder * aligned_share(each);
   };
   std::stable_sort(candidates.begin(), candidates.end(),
-                   [&](const Candidate& a, const Candidate& b) { return evidence(a) > evidence(b); });
+                   [&](const Candidate& a, const Candidate& b) { return order(a) > order(b); });
   return candidates;
 }
 
@@ -480,6 +495,7 @@ Fix SubmapRegistrar::solve() {
   fix.search_radius = radius_;
   for (const View* view : views(0, options_.max_keyframes)) fix.num_query += static_cast<int>(view->points.size());
   if (places_.empty()) {
+    held_.not_found();
     miss();
     fix.reason = "no place on the map looks like the submap";
     return fix;
@@ -492,9 +508,17 @@ Fix SubmapRegistrar::solve() {
   const PlaceFit& fit = best.fit;
   fix.num_inliers = static_cast<int>(fit.inliers);
   if (candidates.size() > 1) fix.num_second_inliers = static_cast<int>(candidates[1].fit.inliers);
-  fix.reason = doubt({fix.log_likelihood, fix.log_likelihood_ratio, aligned_share(best), fix.num_inliers,
-                      fix.num_second_inliers, is_nearby() && (fit.en - expected_).norm() <= expected_radius_},
-                     options_);
+  const Standing standing{
+      .log_likelihood = fix.log_likelihood,
+      .log_likelihood_ratio = fix.log_likelihood_ratio,
+      .aligned_share = aligned_share(best),
+      .inliers = fix.num_inliers,
+      .held = hold(best.place),
+      .num_keyframes = fix.num_keyframes,
+      .is_expected = is_nearby() && (fit.en - expected_).norm() <= expected_radius_,
+  };
+  fix.evidence = evidence(standing);
+  fix.reason = doubt(standing, options_);
   if (fix.reason.empty() && disagreement > 0) {
     fix.reason =
         fmt::format("the whole submap looks like a place {:.0f} m from where its newest keyframes fit", disagreement);

@@ -23,6 +23,7 @@
 #include "common/camera/camera_model.h"
 #include "common/config/config.h"
 #include "services/registration/fix.h"
+#include "services/registration/held_place.h"
 #include "services/registration/place_fit.h"
 #include "services/registration/place_search.h"
 #include "services/registration/view.h"
@@ -39,14 +40,12 @@ struct SubmapOptions {
   double min_radius = 15;         // m, and at least this
   double widening = 1.5;          // factor of the radius for each keyframe without a fix
   double second_distance = 15;    // m: places further from the best are other places
-  // Of a fix: the log-likelihood of the best place less that of the second, in itself and as a share of the former;
+  // Of a fix: the log-likelihood of the best place less that of the second, in itself, and, where the aircraft is
+  // expected, as a share of the former;
   double min_likelihood_ratio = 150;
   double min_likelihood_share = 0.35;
-  // and, unless the aircraft is expected there, twice that share plus three times the share of the points that stay
-  // when matches are aligned plus a 1500th of the former.
-  double min_evidence = 1.9;
-  // Or, with a likelihood share of 0.2, 2.5 times as many points stay as at the second place, and this share of all.
-  double min_aligned_share = 0.165;
+  // elsewhere the evidence, which that share is a part of (doubt()).
+  double min_evidence = 1.5;
   int min_inliers = 8;
   int coarse_places = 12;  // of the coarse grid that are compared at full resolution
   EvidenceOptions evidence;
@@ -67,9 +66,16 @@ struct Standing {
   double log_likelihood = 0;
   double log_likelihood_ratio = 0;  // less that of the other place
   double aligned_share = 0;         // of the points, how many stay where they are aligned to the map
-  int inliers = 0, second_inliers = 0;
+  int inliers = 0;
+  int held = 0;              // over how much new ground (HeldPlace)
+  int num_keyframes = 1;     // of the submap
   bool is_expected = false;  // the place is where the aircraft is expected closely
 };
+
+// What speaks for such a place where the aircraft is not expected: a sum of the likelihood ratio as a share of the
+// likelihood, of the share of aligned points, the likelihood ratio and the new ground held over, less something for
+// each keyframe. docs/registration.md says how it was weighed.
+double evidence(const Standing& place);
 
 // Why such a place is not accepted; empty when it is.
 std::string doubt(const Standing& place, const SubmapOptions& options);
@@ -160,6 +166,8 @@ class SubmapRegistrar {
   // Where few of the newest points stay aligned, asks the whole submap, and fits again where it says. How far (m) the
   // fit is from there if that does not help, 0 if they agree.
   double agree_with_submap(Candidate& candidate) const;
+  // Follows the best place from keyframe to keyframe; how much new ground it has held over.
+  int hold(const Place& place);
   void miss();
   void learn_from(const FittedPose& pose, size_t variant);
 
@@ -176,6 +184,7 @@ class SubmapRegistrar {
   int num_headings_ = 0;
   std::optional<double> fitted_yaw_, fitted_scale_;
   GroundLevel ground_;   // of the session's fixes
+  HeldPlace held_;       // of the session's keyframes that were searched for widely
   int without_fix_ = 0;  // keyframes since the last fix
   int num_fixes_ = 0;    // of the session
 

@@ -176,12 +176,12 @@ void run(const Arguments& arguments) {
     if (csv != nullptr) {
       fmt::print(csv,
                  "{},{},{:.2f},{:.1f},{:.1f},{},{},{},{},{:.2f},{:.2f},{:.2f},{:.3f},{:.3f},{:.4f},{:.4f},{:.2f},{:.2f}"
-                 ",{:.2f},{:.2f},{:.2f},{}\n",
+                 ",{:.2f},{:.2f},{:.2f},{:.3f},{}\n",
                  message.utime, fix.num_keyframes, miss, fix.log_likelihood, fix.log_likelihood_ratio, fix.num_inliers,
                  fix.num_query, fix.num_second_inliers, fix.valid ? 1 : 0, error.x(), error.y(), error.z(),
                  std::sqrt(fix.covariance(0, 0)), std::sqrt(fix.covariance(2, 2)), fix.scale, fix.scale_stddev,
                  180 / M_PI * wrap_angle(used - is.heading), 180 / M_PI * wrap_angle(heading->value - is.heading),
-                 end - start, is.map_offset.x(), is.map_offset.y(), fix.reason);
+                 end - start, is.map_offset.x(), is.map_offset.y(), fix.evidence, fix.reason);
     }
   };
   LogReader reader(arguments.log);
@@ -238,7 +238,8 @@ int main(int argc, char** argv) {
   app.add_option("--limit", arguments.limit, "keyframes at most");
   app.add_option("--size", arguments.size, "keypoint size, map pixels");
   app.add_option("--seed", arguments.seed, "of the made-up prior");
-  app.add_option("--csv", arguments.csv);
+  app.add_option("--csv", arguments.csv,
+                 "each keyframe: its distance from the truth, likelihood, inliers, errors and more");
   app.add_option("--evidence-threshold", arguments.evidence.threshold);
   app.add_option("--evidence-limit", arguments.evidence.limit);
   app.add_option("--coarse-places", arguments.coarse_places);

@@ -129,53 +129,73 @@ TEST(DotProducts, OfCoarseDescriptorsFitIntoFifteenBits) {
   }
 }
 
-// By none of the limits far enough for the sum of them, and by each just far enough to stand out.
-Standing outstanding() {
-  return {
-      .log_likelihood = 1000, .log_likelihood_ratio = 210, .aligned_share = 0.17, .inliers = 50, .second_inliers = 20};
+// 2 x 0.6 + 3 x 0.1 + 600 / 3000 + 0.1 x 1 - 0.0375 x 8 = 1.5, which is what is needed.
+Standing just_clear() {
+  return {.log_likelihood = 1000,
+          .log_likelihood_ratio = 600.1,
+          .aligned_share = 0.1,
+          .inliers = 30,
+          .held = 1,
+          .num_keyframes = 8};
 }
 
-TEST(Doubt, IsNoneOfAPlaceThatStandsOut) {
-  EXPECT_EQ(doubt(outstanding(), {}), "");
+bool is_refused(const Standing& place) {
+  return !doubt(place, {}).empty();
 }
 
-TEST(Doubt, IsOfAPlaceThatStandsOutInAllButOne) {
-  const auto is_refused = [](const Standing& place) { return !doubt(place, {}).empty(); };
-  Standing place = outstanding();
-  place.log_likelihood = 1100;  // a share of 0.19
+TEST(Doubt, IsNoneOfAPlaceWhoseEvidenceIsEnough) {
+  EXPECT_EQ(doubt(just_clear(), {}), "");
+}
+
+TEST(Doubt, IsOfAPlaceThatLacksAPieceOfTheEvidence) {
+  Standing place = just_clear();
+  place.log_likelihood_ratio = 599;
+  EXPECT_THAT(doubt(place, {}), HasSubstr("ratio 599 of 1000, evidence 1.50, held 1"));
+  place = just_clear();
+  place.aligned_share = 0.099;
   EXPECT_TRUE(is_refused(place));
-  place = outstanding();
-  place.aligned_share = 0.16;
+  place = just_clear();
+  place.held = 0;
   EXPECT_TRUE(is_refused(place));
-  place = outstanding();
-  place.second_inliers = 21;
+  place = just_clear();
+  place.num_keyframes = 9;
   EXPECT_TRUE(is_refused(place));
-  place = outstanding();
-  place.log_likelihood = 700;
-  place.log_likelihood_ratio = 149;  // a share as before
+}
+
+TEST(Doubt, IsLessOfAPlaceThatHasHeldOverNewGround) {
+  Standing place{.log_likelihood = 1000,
+                 .log_likelihood_ratio = 205,
+                 .aligned_share = 0.1,
+                 .inliers = 30,
+                 .held = 12,
+                 .num_keyframes = 16};
+  EXPECT_TRUE(is_refused(place));  // 1.38
+  place.held = 14;
+  EXPECT_FALSE(is_refused(place));
+  // What it looks like itself has to say something, however long it held, and more than a submap is no news.
+  place.log_likelihood_ratio = 195;
+  place.held = 1000;
   EXPECT_TRUE(is_refused(place));
-  place = outstanding();
+  place.log_likelihood_ratio = 205;
+  place.aligned_share = 0;
+  EXPECT_THAT(doubt(place, {}), HasSubstr("evidence 1.48"));
+}
+
+TEST(Doubt, IsOfFewInliersAndOfSmallRatios) {
+  Standing place = just_clear();
   place.inliers = 7;
-  place.second_inliers = 2;
   EXPECT_TRUE(is_refused(place));
-  // Where the aircraft is expected there is one place, and what the second has says nothing.
-  place = outstanding();
-  place.is_expected = true;
+  place = {.log_likelihood = 150, .log_likelihood_ratio = 149, .aligned_share = 0.9, .inliers = 50};
   EXPECT_TRUE(is_refused(place));
 }
 
-TEST(Doubt, IsNoneOfAPlaceThatIsClear) {
-  Standing place{
-      .log_likelihood = 1000, .log_likelihood_ratio = 599, .aligned_share = 0.1, .inliers = 30, .second_inliers = 29};
-  EXPECT_THAT(doubt(place, {}), HasSubstr("evidence 1.90"));  // 1.9 is needed
-  place.log_likelihood_ratio = 601;
-  EXPECT_EQ(doubt(place, {}), "");
-  // Where the aircraft is expected a share of 0.35 will do.
+TEST(Doubt, AsksForAShareAloneWhereTheAircraftIsExpected) {
+  Standing place{.log_likelihood = 1000, .log_likelihood_ratio = 350, .inliers = 8, .num_keyframes = 16};
+  EXPECT_TRUE(is_refused(place));
   place.is_expected = true;
-  place.log_likelihood_ratio = 350;
-  EXPECT_EQ(doubt(place, {}), "");
+  EXPECT_FALSE(is_refused(place));
   place.log_likelihood_ratio = 349;
-  EXPECT_NE(doubt(place, {}), "");
+  EXPECT_TRUE(is_refused(place));
 }
 
 class SubmapTest : public testing::Test {
@@ -484,7 +504,7 @@ TEST_F(SubmapTest, SearchesAroundTheExpectedPlaceAndWidensWhenItIsNotThere) {
 
 TEST_F(SubmapTest, WhatLiesInTheWidenedPartOfASearchIsNotExpected) {
   SubmapOptions strict;  // accepts nothing but where the aircraft is expected
-  strict.min_evidence = strict.min_aligned_share = 10;
+  strict.min_evidence = 10;
   const Capture capture = ground_.capture({95, -80, 60}, 1.0, 0.03, -0.04);
   SubmapRegistrar registrar(strict, test_camera());
   registrar.set_map(features(), kMap);
