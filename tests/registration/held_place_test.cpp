@@ -12,13 +12,14 @@ const Eigen::Matrix2d kG_W = 1.1 * Eigen::Rotation2Dd(0.5).toRotationMatrix();
 // A flight east in W, 5 m from keyframe to keyframe, found where it is and `off` (m).
 class HeldPlaceTest : public testing::Test {
  protected:
-  void fly(int keyframes, const Eigen::Vector2d& off = {0, 0}) {
-    for (int i = 0; i < keyframes; ++i) {
-      p_W_.x() += 5;
-      held_.found(p_W_, Eigen::Vector2d(1000, 2000) + kG_W * p_W_ + off, kG_W, kTolerance, kSpacing);
-    }
+  void see_from(double x, const Eigen::Vector2d& off = {0, 0}) {
+    const Eigen::Vector2d p_W(x, 0);
+    held_.found(p_W, Eigen::Vector2d(1000, 2000) + kG_W * p_W + off, kG_W, kTolerance, kSpacing);
   }
-  Eigen::Vector2d p_W_ = Eigen::Vector2d::Zero();
+  void fly(int keyframes, const Eigen::Vector2d& off = {0, 0}) {
+    for (int i = 0; i < keyframes; ++i) see_from(x_ += 5, off);
+  }
+  double x_ = 0;  // m
   HeldPlace held_;
 };
 
@@ -32,13 +33,8 @@ TEST_F(HeldPlaceTest, CountsTheNewGroundOfAPlaceThatMovesAsTheOdometryDoes) {
 
 TEST_F(HeldPlaceTest, DoesNotCountTheSameGroundAgain) {
   fly(21);
-  const Eigen::Vector2d far = p_W_;
   for (int lap = 0; lap < 10; ++lap) {
-    p_W_ = Eigen::Vector2d(-5, 0);
-    held_.found(p_W_ + Eigen::Vector2d(5, 0), Eigen::Vector2d(1000, 2000) + kG_W * (p_W_ + Eigen::Vector2d(5, 0)), kG_W,
-                kTolerance, kSpacing);
-    p_W_ = far - Eigen::Vector2d(5, 0);
-    fly(1);
+    for (double x = 0; x <= 105; x += 7) see_from(x);
   }
   EXPECT_EQ(held_.new_ground(), 6);
 }
