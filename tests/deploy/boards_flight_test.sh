@@ -1,11 +1,13 @@
 #!/usr/bin/env bash
-# The chain over three boards with 1 % of the packets lost finds its place on the map: tests/deploy/boards_flight_test.sh BIN
-# FLIGHT_FOLDER. Skips (77) where network namespaces are not permitted.
+# The chain over three boards, its bus sealed with a key and 1 % of the packets lost, finds its place on the map:
+# tests/deploy/boards_flight_test.sh BIN FLIGHT_FOLDER. Skips (77) where network namespaces are not permitted.
 set -euo pipefail
 here=$(cd "$(dirname "$0")/../.." && pwd)
 export ORTHONAV_BIN=$1
 flight=$2
 out=$flight/boards.lcm
+export ORTHONAV_BUS_KEY=$flight/bus.key
+od -An -tx1 -N32 /dev/urandom | tr -d ' \n' >"$ORTHONAV_BUS_KEY"
 "$here/deploy/fly-boards" "$here/deploy/boards/three.yaml" "$here/config/quick" "$flight/flight.lcm" "$flight/flight.onmap" "$out" \
   --loss 10 --seconds 35
 for host in eyes atlas navigator; do
