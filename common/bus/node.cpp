@@ -116,6 +116,8 @@ struct Node::Impl {
     int64_t reported_refused = 0;
     int64_t reported = 0;
     double slowest_ms = 0;  // since the last heartbeat, from the socket to the end of the handler
+    // With a key; only for the receive thread. One for each, for a message that comes to two of them is no replay.
+    std::optional<SealChecker> seals;
 
     void receive(const lcm::ReceiveBuffer* buffer, const std::string&);
   };
@@ -146,8 +148,8 @@ struct Node::Impl {
   Supervisor supervisor;
   std::vector<std::unique_ptr<Subscription>> subscriptions;
   std::vector<Timer> timers;
-  std::optional<Sealer> sealer;      // with a key
-  std::optional<SealChecker> seals;  // likewise; only for the receive thread
+  std::optional<BusKey> key;
+  std::optional<Sealer> sealer;  // with a key
 
   std::mutex queue_mutex;
   std::condition_variable queue_filled;
@@ -179,8 +181,8 @@ struct Node::Impl {
   void enqueue(Subscription& subscription, const lcm::ReceiveBuffer& buffer) {
     const auto* bytes = static_cast<const uint8_t*>(buffer.data);
     // Here, before the queue: a forged message must not take the place of a true one.
-    if (seals) {
-      std::string refusal = seals->refusal(subscription.channel, wall_time(), bytes, buffer.data_size);
+    if (subscription.seals) {
+      std::string refusal = subscription.seals->refusal(subscription.channel, wall_time(), bytes, buffer.data_size);
       if (!refusal.empty()) {
         const std::lock_guard lock(queue_mutex);
         ++subscription.refused;
@@ -278,9 +280,8 @@ Node::Node(const NodeOptions& options) : impl_(std::make_unique<Impl>()) {
   std::string key_file = options.key_file;
   if (const char* named = std::getenv("ORTHONAV_BUS_KEY"); key_file.empty() && named != nullptr) key_file = named;
   if (!key_file.empty()) {
-    const BusKey key = read_bus_key(key_file);
-    impl_->sealer.emplace(key);
-    impl_->seals.emplace(key);
+    impl_->key = read_bus_key(key_file);
+    impl_->sealer.emplace(*impl_->key);
   }
   impl_->start = now();
   if (url.rfind("udpm", 0) == 0) {
@@ -329,6 +330,7 @@ void Node::subscribe_raw(const std::string& channel, Delivery delivery, size_t d
   subscription->depth = std::max<size_t>(depth, 1);
   subscription->handler = std::move(handler);
   subscription->node = this;
+  if (impl_->key) subscription->seals.emplace(*impl_->key);
   // LCM's own queue of 30 would drop the newest; ours, behind it, does what `delivery` says.
   subscription->on_bus = lcm().subscribe(channel, &Impl::Subscription::receive, subscription.get());
   subscription->on_bus->setQueueCapacity(0);

@@ -44,7 +44,8 @@ class Sealer {
   uint64_t sequence_ = 0;
 };
 
-// Judges what one process receives. Not thread-safe.
+// Judges what one subscription of a process receives: it takes a message that it is shown twice for a replay. Not
+// thread-safe.
 class SealChecker {
  public:
   explicit SealChecker(const BusKey& key);

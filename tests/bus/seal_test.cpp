@@ -10,6 +10,7 @@
 #include <lcm/lcm-cpp.hpp>
 
 #include "common/bus/channels.h"
+#include "common/bus/node.h"
 #include "orthonav/health_t.hpp"
 #include "orthonav/vio_state_t.hpp"
 #include "tests/support/bus_client.h"
@@ -221,6 +222,20 @@ TEST_F(SealedBus, WhatAServiceSaysIsSealedAndReadByProgramsWithoutTheKey) {
   EXPECT_EQ(health_.messages.back().service, "fusion");
   SealChecker checker(key_of(0xaa));
   EXPECT_EQ(checker.refusal(channel::kHealth, wall_time(), raw.last.data(), raw.last.size()), "");
+}
+
+// The node itself listens to heartbeats, for the other boards' clocks; so does ingest, which waits for services.
+TEST_F(SealedBus, WhatTwoPartsOfAServiceListenToReachesBoth) {
+  start();
+  Node node({.service = "a", .key_file = folder_ / "key"});
+  bool heard = false;
+  node.subscribe<health_t>(channel::kHealth, Delivery::kAll, [&](const health_t& m) {
+    heard = heard || m.service == "fusion";
+    if (heard) node.stop();
+  });
+  node.every(test::kPatience, [&] { node.stop(); });
+  node.run();
+  EXPECT_TRUE(heard);
 }
 
 TEST_F(SealedBus, ABadKeyEndsTheServiceWithTheFileAtFault) {

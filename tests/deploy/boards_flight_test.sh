@@ -7,7 +7,7 @@ export ORTHONAV_BIN=$1
 flight=$2
 out=$flight/boards.lcm
 export ORTHONAV_BUS_KEY=$flight/bus.key
-od -An -tx1 -N32 /dev/urandom | tr -d ' \n' >"$ORTHONAV_BUS_KEY"
+(umask 077 && od -An -tx1 -N32 /dev/urandom | tr -d ' \n' >"$ORTHONAV_BUS_KEY")
 "$here/deploy/fly-boards" "$here/deploy/boards/three.yaml" "$here/config/quick" "$flight/flight.lcm" "$flight/flight.onmap" "$out" \
   --loss 10 --seconds 35
 for host in eyes atlas navigator; do
