@@ -5,7 +5,7 @@ set -euo pipefail
 here=$(cd "$(dirname "$0")/../.." && pwd)
 export PATH=$PATH:/usr/sbin:/sbin
 if [ "${ORTHONAV_FIREWALL_TEST:-}" != inside ]; then
-  problem=$(unshare -rn nft list ruleset 2>&1) || { echo "skipped: $problem"; exit 77; }
+  problem=$(unshare -rnmpf --kill-child --mount-proc nft list ruleset 2>&1) || { echo "skipped: $problem"; exit 77; }
   ORTHONAV_FIREWALL_TEST=inside exec unshare -rnmpf --kill-child --mount-proc "$0" "$@"
 fi
 bin=$1 config=$2
