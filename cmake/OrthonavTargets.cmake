@@ -23,8 +23,11 @@ endif()
 
 # How many times as long as in a release build a test may take: instrumented ones are five to twenty times slower.
 set(ORTHONAV_TIME_FACTOR 1)
+# Times real time, of flights through processes in tests: instrumented services need more than one second for each.
+set(ORTHONAV_FLIGHT_SPEED 1)
 if(ORTHONAV_SANITIZE)
   set(ORTHONAV_TIME_FACTOR 20)
+  set(ORTHONAV_FLIGHT_SPEED 0.25)
 endif()
 
 if(ORTHONAV_FUZZ)
@@ -83,6 +86,7 @@ function(orthonav_test name)
   endif()
   math(EXPR limit "${ARG_TIMEOUT} * ${ORTHONAV_TIME_FACTOR}")
   add_executable(${name} ${ARG_SOURCES} ${CMAKE_SOURCE_DIR}/tests/support/main.cpp)
+  target_include_directories(${name} PRIVATE ${CMAKE_SOURCE_DIR})
   target_link_libraries(${name} PRIVATE ${ARG_LINKS} GTest::gmock)
   orthonav_compile_options(${name})
   set_target_properties(${name} PROPERTIES RUNTIME_OUTPUT_DIRECTORY ${CMAKE_BINARY_DIR}/tests)
@@ -94,7 +98,8 @@ function(orthonav_test name)
   endif()
   include(GoogleTest)
   target_compile_definitions(${name} PRIVATE
-    ORTHONAV_BIN="${CMAKE_BINARY_DIR}/bin" ORTHONAV_SOURCE="${CMAKE_SOURCE_DIR}")
+    ORTHONAV_BIN="${CMAKE_BINARY_DIR}/bin" ORTHONAV_SOURCE="${CMAKE_SOURCE_DIR}"
+    ORTHONAV_FLIGHT_SPEED=${ORTHONAV_FLIGHT_SPEED})
   gtest_discover_tests(${name} DISCOVERY_TIMEOUT 60
     PROPERTIES TIMEOUT ${limit} LABELS "${ARG_LABELS}" FIXTURES_REQUIRED "${ARG_FIXTURE}" RUN_SERIAL "${ARG_ALONE}")
 endfunction()

@@ -193,10 +193,17 @@ struct Node::Impl {
     Message message{&subscription, {bytes, bytes + buffer.data_size}, Clock::now()};
     {
       const std::lock_guard lock(queue_mutex);
-      if (subscription.delivery == Delivery::kLatest && subscription.waiting >= subscription.depth) {
-        const auto oldest =
-            std::find_if(queue.begin(), queue.end(), [&](const Message& m) { return m.subscription == &subscription; });
-        queue.erase(oldest);
+      const auto first = subscription.delivery == Delivery::kAll || subscription.waiting < subscription.depth
+                             ? queue.end()
+                             : std::find_if(queue.begin(), queue.end(),
+                                            [&](const Message& m) { return m.subscription == &subscription; });
+      if (first != queue.end() && subscription.delivery == Delivery::kReplace) {
+        // In its place: at the end of the queue, it could be replaced for ever.
+        *first = std::move(message);
+        return;
+      }
+      if (first != queue.end()) {
+        queue.erase(first);
         --subscription.waiting;
         ++subscription.dropped;
       }

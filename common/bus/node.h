@@ -46,8 +46,9 @@ std::string bus_url(const NodeOptions& options);
 
 // What happens to messages that arrive faster than they are handled.
 enum class Delivery {
-  kAll,     // unbounded, in order: IMU, keyframes, fixes
-  kLatest,  // at most `depth` wait; the oldest is given up and counted: images
+  kAll,      // unbounded, in order: IMU, keyframes, fixes
+  kLatest,   // at most `depth` wait; the oldest is given up and counted: images
+  kReplace,  // one waits, a newer one takes its place, and nothing is lost by that: states, announcements
 };
 
 // Health of a service. Counters are shown in the heartbeat in order of their names.

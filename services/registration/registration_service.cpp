@@ -73,9 +73,9 @@ RegistrationService::RegistrationService(Node& node, const Setup& setup)
   // A fix is worth more fresh than complete: whoever is behind goes on with the newest keyframe.
   node_.subscribe<vio_keyframe_t>(channel::kVioKeyframe, Delivery::kLatest,
                                   [this](const vio_keyframe_t& keyframe) { handle(keyframe); });
-  node_.subscribe<map_info_t>(channel::kMapInfo, Delivery::kLatest, [this](const map_info_t& info) { handle(info); });
+  node_.subscribe<map_info_t>(channel::kMapInfo, Delivery::kReplace, [this](const map_info_t& info) { handle(info); });
   node_.subscribe<map_tile_t>(channel::kMapTile, Delivery::kAll, [this](const map_tile_t& tile) { handle(tile); });
-  node_.subscribe<nav_state_t>(channel::kNavState, Delivery::kLatest,
+  node_.subscribe<nav_state_t>(channel::kNavState, Delivery::kReplace,
                                [this](const nav_state_t& state) { handle(state); });
   node_.every(std::chrono::milliseconds(options_.request_period_ms), [this] { request_tiles(); });
   node_.every(std::chrono::seconds(1), [this] { report_state(); });

@@ -156,8 +156,7 @@ TEST_F(ReplayedNode, StopwatchReadsZeroSoThatAReplayRepeats) {
   EXPECT_EQ(watch.ms(), 0.0);
 }
 
-// ---- live, over UDP multicast
-// -----------------------------------------------------------------------------------------
+// ---- live, over UDP multicast ---------------------------------------------------------------------------------------
 
 class LiveNode : public testing::Test {
  protected:
@@ -190,22 +189,24 @@ TEST_F(LiveNode, EchoesAcrossTheBusAndSendsAHeartbeatAtOnce) {
 }
 
 // The handler of the first message holds the node up until all others have arrived, as a slow service does.
-TEST_F(LiveNode, KeepsEveryInertialSampleAndOnlyTheLatestImages) {
+TEST_F(LiveNode, KeepsEveryInertialSampleTheLatestImagesAndTheNewestState) {
   constexpr int kImages = 10, kSamples = 5;
   int imu_count = 0;
-  std::vector<int64_t> images;
+  std::vector<int64_t> images, states;
   std::binary_semaphore go{0};
   node_->subscribe<compass_t>("HOLD", Delivery::kAll,
                               [&](const compass_t&) { EXPECT_TRUE(go.try_acquire_for(test::kPatience)); });
   node_->subscribe<imu_t>("IMU", Delivery::kAll, [&](const imu_t&) { ++imu_count; });
   node_->subscribe<image_t>(
       "CAMERA", Delivery::kLatest, [&](const image_t& m) { images.push_back(m.utime); }, 2);
+  node_->subscribe<compass_t>("STATE", Delivery::kReplace, [&](const compass_t& m) { states.push_back(m.utime); });
   node_->subscribe<compass_t>("DONE", Delivery::kAll, [&](const compass_t& m) { node_->publish("REPORT", m); });
   // Through a second node: it hears everything that the first one hears.
   Collector<compass_t> done(bus_, "DONE"), report(bus_, "REPORT");
   Collector<health_t> heartbeats(bus_, channel::kHealth);
   start();
   const compass_t mark{};
+  compass_t state{};
   image_t image{};
   image.data.resize(1000);
   image.size = 1000;
@@ -219,8 +220,9 @@ TEST_F(LiveNode, KeepsEveryInertialSampleAndOnlyTheLatestImages) {
         const imu_t imu = imu_at(kSamples * sent + k);
         bus_.publish("IMU", &imu);
       }
-      image.utime = ++sent;
+      state.utime = image.utime = ++sent;
       bus_.publish("CAMERA", &image);
+      bus_.publish("STATE", &state);
     }
     bus_.publish("DONE", &mark);
     ASSERT_TRUE(handle_until(bus_, [&] { return done.messages.size() == round; }));
@@ -235,6 +237,10 @@ TEST_F(LiveNode, KeepsEveryInertialSampleAndOnlyTheLatestImages) {
   EXPECT_LT(images.size(), static_cast<size_t>(sent));
   EXPECT_EQ(images.back(), sent);
   EXPECT_EQ(static_cast<double>(images.size()) + node_->health().counter("rejected.overrun.CAMERA"), sent);
+  // A state that was replaced is no loss.
+  EXPECT_LT(states.size(), static_cast<size_t>(sent));
+  EXPECT_EQ(states.back(), sent);
+  EXPECT_EQ(node_->health().counter("rejected.overrun.STATE"), 0);
 }
 
 TEST_F(LiveNode, AClampedReceiveBufferIsSaidInTheHealthWithTheRemedy) {

@@ -1,4 +1,4 @@
-// The same short flight through five processes over UDP multicast, in real time.
+// The same short flight through five processes over UDP multicast, in real time (instrumented: slower).
 #include <filesystem>
 #include <fstream>
 #include <thread>
@@ -12,6 +12,7 @@
 #include "orthonav/vio_state_t.hpp"
 #include "tests/playback/flight_fixture.h"
 #include "tests/support/bus_client.h"
+#include "tests/support/flight_speed.h"
 
 namespace orthonav {
 namespace {
@@ -32,16 +33,17 @@ class LiveFlight : public testing::Test {
     return std::make_unique<ChildProcess>(arguments, test::flight_folder() / ("live-" + service + ".txt"));
   }
   std::unique_ptr<ChildProcess> start_ingest() const {
-    return start("ingest", {"--log", test::flight_log(), "--wait-for", "vio,map_server,registration,fusion"});
+    return start("ingest", {"--log", test::flight_log(), "--speed", test::flight_speed(), "--wait-for",
+                            "vio,map_server,registration,fusion"});
   }
 };
 
 TEST_F(LiveFlight, FiveProcessesReachTheReplaysAccuracyAndStopInOrder) {
   const fs::path out = test::flight_folder() / "live.lcm";
-  ChildProcess fly(
-      {test::source_tree() / "deploy" / "fly", test::flight_config(), test::flight_log(), test::flight_map(), out},
-      test::flight_folder() / "live-fly.txt");
-  ASSERT_EQ(fly.wait_exit(150s), 0);
+  ChildProcess fly({test::source_tree() / "deploy" / "fly", test::flight_config(), test::flight_log(),
+                    test::flight_map(), out, test::flight_speed()},
+                   test::flight_folder() / "live-fly.txt");
+  ASSERT_EQ(fly.wait_exit(test::flown(150s)), 0);
   const auto report = test::evaluate(out);
   EXPECT_LT(report["fusion"]["rmse_m"].get<double>(), 3.76);
 }
@@ -56,7 +58,7 @@ TEST_F(LiveFlight, AServiceKilledInFlightComesBackAndTheOthersStay) {
   auto vio = start("vio");
   auto ingest = start_ingest();
   const auto aided = [&] { return !nav.messages.empty() && nav.messages.back().mode == nav_state_t::MAP_AIDED; };
-  ASSERT_TRUE(handle_until(bus, aided, 40s));
+  ASSERT_TRUE(handle_until(bus, aided, test::flown(40s)));
 
   vio->signal(SIGKILL);
   ASSERT_EQ(vio->wait_exit(5s), 128 + SIGKILL);
@@ -68,7 +70,7 @@ TEST_F(LiveFlight, AServiceKilledInFlightComesBackAndTheOthersStay) {
     return !fixes.messages.empty() && fixes.messages.back().valid && fixes.messages.back().session != session;
   };
   EXPECT_TRUE(handle_until(
-      bus, [&] { return found() && aided() && nav.messages.back().session != session; }, 30s));
+      bus, [&] { return found() && aided() && nav.messages.back().session != session; }, test::flown(30s)));
   EXPECT_TRUE(map_server->running());
   EXPECT_TRUE(registration->running());
   EXPECT_TRUE(fusion->running());
@@ -81,7 +83,8 @@ TEST_F(LiveFlight, AServiceKilledInFlightComesBackAndTheOthersStay) {
     for (int i = 0; i < 100; ++i) bus.publish(channel, garbage.data(), static_cast<unsigned>(garbage.size()));
   }
   const size_t count = nav.messages.size();
-  EXPECT_TRUE(handle_until(bus, [&] { return nav.messages.size() > count + 20 && aided(); }));
+  EXPECT_TRUE(handle_until(
+      bus, [&] { return nav.messages.size() > count + 20 && aided(); }, test::flown(20s)));
   for (auto* service : {&map_server, &registration, &fusion, &vio}) {
     EXPECT_TRUE((*service)->running());
     (*service)->signal(SIGTERM);
@@ -94,13 +97,13 @@ TEST_F(LiveFlight, TheOdometryBeginsAnewOnRequest) {
   ASSERT_TRUE(bus.good());
   Collector<vio_state_t> states(bus, channel::kVioState);
   auto vio = start("vio");
-  auto ingest = start("ingest", {"--log", test::flight_log(), "--wait-for", "vio"});
+  auto ingest = start("ingest", {"--log", test::flight_log(), "--speed", test::flight_speed(), "--wait-for", "vio"});
   const auto flies = [&] { return !states.messages.empty() && states.messages.back().status == vio_state_t::TRACKING; };
-  ASSERT_TRUE(handle_until(bus, flies, 40s));
+  ASSERT_TRUE(handle_until(bus, flies, test::flown(40s)));
   const int32_t session = states.messages.back().session;
   ChildProcess reset({test::program("orthonav-reset"), "--reason", "a test"}, test::flight_folder() / "reset.txt");
   EXPECT_TRUE(handle_until(
-      bus, [&] { return flies() && states.messages.back().session == session + 1; }, 20s));
+      bus, [&] { return flies() && states.messages.back().session == session + 1; }, test::flown(20s)));
   EXPECT_EQ(reset.wait_exit(5s), 0);
   // Nobody is asked: the program says so.
   vio->signal(SIGTERM);

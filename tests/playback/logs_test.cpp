@@ -20,6 +20,7 @@
 #include "orthonav/imu_t.hpp"
 #include "tests/support/bus_client.h"
 #include "tests/support/child_process.h"
+#include "tests/support/flight_speed.h"
 #include "tests/support/temporary_folder.h"
 
 namespace orthonav {
@@ -104,7 +105,7 @@ class CommittedFlight : public testing::Test {
     ASSERT_GT(expected_.size(), 10u);
   }
 
-  void run(const std::vector<std::string>& arguments, std::chrono::seconds patience) const {
+  void run(const std::vector<std::string>& arguments, std::chrono::milliseconds patience) const {
     ChildProcess process(arguments, folder_ / "output.txt");
     ASSERT_EQ(process.wait_exit(patience), 0) << arguments[0];
   }
@@ -150,8 +151,8 @@ TEST_F(CommittedFlight, AReplayGivesTheCommittedPositionsAndTable) {
 TEST_F(CommittedFlight, ProcessesOverUdpInRealTimeKeepToItWithinTwoMetres) {
   const fs::path out = folder_ / "out.lcm";
   run({test::source_tree() / "deploy" / "fly", logs() / "scenario", logs() / "flight.lcm", folder_ / "flight.map.tif",
-       out},
-      120s);
+       out, test::flight_speed()},
+      test::flown(120s));
   EXPECT_LT(within(track_of(out), 0.85), kLive);
 }
 

@@ -1,0 +1,121 @@
+// The chain spread over three boards, network namespaces joined by a bridge (deploy/fly-boards): what it costs against
+// one board, with packets lost and with cables pulled. tools/benchmark/boards prints the whole table.
+#include <cmath>
+#include <cstdlib>
+#include <filesystem>
+#include <fstream>
+#include <map>
+#include <memory>
+#include <string>
+#include <vector>
+
+#include <gtest/gtest.h>
+
+#include "tests/playback/flight_fixture.h"
+#include "tests/support/child_process.h"
+#include "tests/support/flight_speed.h"
+#include "tests/support/temporary_folder.h"
+
+namespace orthonav {
+namespace {
+
+using namespace std::chrono_literals;
+using test::ChildProcess;
+using Report = nlohmann::json;
+
+class BoardsFlight : public testing::Test {
+ protected:
+  void SetUp() override {
+    ChildProcess permitted({"/usr/bin/unshare", "-rnmupf", "--kill-child", "--mount-proc", "true"},
+                           folder_ / "unshare.txt");
+    if (permitted.wait_exit(20s) != 0) GTEST_SKIP() << "network namespaces are not permitted here";
+  }
+
+  // Begins a flight over the boards of deploy/boards/`boards`.yaml; flights fly beside each other, each on a bus of its
+  // own.
+  void begin(const std::string& name, const std::string& boards, const std::vector<std::string>& more = {}) {
+    const auto deploy = test::source_tree() / "deploy";
+    std::vector<std::string> arguments{deploy / "fly-boards",
+                                       deploy / "boards" / (boards + ".yaml"),
+                                       test::flight_config(),
+                                       test::flight_log(),
+                                       test::flight_map(),
+                                       folder_ / (name + ".lcm"),
+                                       "--speed",
+                                       test::flight_speed()};
+    arguments.insert(arguments.end(), more.begin(), more.end());
+    flights_[name] = std::make_unique<ChildProcess>(arguments, folder_ / (name + ".txt"));
+  }
+  // What orthonav-evaluate says of the flight, once it has landed.
+  Report land(const std::string& name) {
+    EXPECT_EQ(flights_.at(name)->wait_exit(test::flown(150s)), 0) << name;
+    return test::evaluate(folder_ / (name + ".lcm"));
+  }
+  static double rmse(const Report& report) { return report["fusion"]["rmse_m"]; }
+  static double counter(const Report& report, const std::string& service, const std::string& name) {
+    return report["health"][service]["counters"].value(name, NAN);
+  }
+  // The same flight through all services in one process.
+  static Report replayed() { return test::evaluate(test::flight_folder() / "replayed.lcm"); }
+
+  test::TemporaryFolder folder_;
+
+ private:
+  std::map<std::string, std::unique_ptr<ChildProcess>> flights_;
+};
+
+TEST_F(BoardsFlight, ThreeBoardsFlyAsOneDoes) {
+  begin("one", "one");
+  begin("three", "three");
+  const Report one = land("one"), three = land("three");
+  EXPECT_NEAR(rmse(three), rmse(one), 0.1 * rmse(one));
+  EXPECT_EQ(three["registration"]["false_fixes"], 0);
+  EXPECT_GE(three["registration"]["fixes"].get<double>(), 0.9 * one["registration"]["fixes"].get<double>());
+  // Each of the other boards' clocks is compared with the fusion's; here they are one.
+  for (const char* board : {"eyes", "atlas"}) {
+    EXPECT_LT(std::abs(counter(three, "fusion", std::string("clock.skew_ms.") + board)), 50) << board;
+  }
+}
+
+TEST_F(BoardsFlight, PacketsLostOnASealedBusCostImagesAndNotThePosition) {
+  const auto key = folder_ / "bus.key";
+  std::ofstream(key) << std::string(64, '5');
+  std::filesystem::permissions(key, std::filesystem::perms::owner_read);
+  setenv("ORTHONAV_BUS_KEY", key.c_str(), 1);
+  begin("per mille", "three", {"--loss", "1"});
+  begin("per cent", "three", {"--loss", "10"});
+  unsetenv("ORTHONAV_BUS_KEY");
+  const double clean = rmse(replayed());
+  for (const char* name : {"per mille", "per cent"}) {
+    const Report report = land(name);
+    EXPECT_LT(rmse(report), 1.25 * clean) << name;
+    EXPECT_EQ(report["registration"]["false_fixes"], 0) << name;
+    // The whole map is there, whatever part of it was lost: it was asked for again.
+    EXPECT_EQ(counter(report, "registration", "map.features"), counter(report, "map_server", "map.features")) << name;
+    if (name != std::string("per cent")) continue;
+    EXPECT_GT(counter(report, "registration", "map.parts_asked_again"), 0);
+    const double images =
+        counter(report, "registration", "received.CAMERA") / counter(report, "ingest", "published.CAMERA");
+    const double keyframes =
+        counter(report, "registration", "received.VIO_KEYFRAME") / counter(report, "vio", "published.VIO_KEYFRAME");
+    EXPECT_LT(images, 0.85);
+    EXPECT_GT(keyframes, 0.85);
+    EXPECT_GT(counter(report, "registration", "rejected.keyframe.no_image"), 0);
+  }
+}
+
+TEST_F(BoardsFlight, ACablePulledForTenSecondsIsSurvived) {
+  begin("odometry's", "three", {"--cut", "eyes:25:10"});
+  begin("map server's", "three", {"--cut", "atlas:5:10"});
+  const double clean = rmse(replayed());
+  const Report odometry = land("odometry's"), map_server = land("map server's");
+  EXPECT_GT(odometry["lost"]["keyframe_ids_missing"], 0);  // it was pulled
+  for (const Report* report : {&odometry, &map_server}) {
+    EXPECT_LT(rmse(*report), 1.25 * clean);
+    EXPECT_EQ((*report)["registration"]["false_fixes"], 0);
+    EXPECT_EQ((*report)["vio"]["restarts"], 0);
+  }
+}
+
+}  // namespace
+}  // namespace orthonav
