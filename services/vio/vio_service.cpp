@@ -76,6 +76,9 @@ void VioService::on_imu(const imu_t& message) {
 }
 
 void VioService::on_image(const image_t& message) {
+  for (int missing = missed_images_.add(message.utime); missing > 0; --missing) {
+    node_.health().reject("camera.missed", "images did not arrive: are packets lost, or is the camera late?");
+  }
   const DecodedImage image = decode_image(message, setup_.camera.width(), setup_.camera.height());
   if (!image.ok()) {
     node_.health().reject("camera", image.error);

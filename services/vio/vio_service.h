@@ -11,6 +11,7 @@
 #include "orthonav/imu_t.hpp"
 #include "orthonav/nav_state_t.hpp"
 #include "orthonav/vio_reset_t.hpp"
+#include "services/vio/missed_images.h"
 #include "services/vio/scale_hint.h"
 #include "services/vio/vio.h"
 
@@ -41,6 +42,7 @@ class VioService final : public Service {
   VioSetup setup_;
   Vio vio_;
   ScaleHinter hinter_;
+  MissedImages missed_images_;
   std::filesystem::path memory_file_;
   std::map<std::string, double> reported_;  // rejects already shown in the health
   int announced_session_ = 0;

@@ -193,6 +193,18 @@ TEST_F(VioServiceTest, SpeaksTheContractOfItsMessagesAndSurvivesBadOnes) {
   EXPECT_GT(node.health().counter("rejected.imu.order"), 10);
 }
 
+TEST_F(VioServiceTest, SaysWhenImagesDoNotArrive) {
+  Node node({"vio"}, bus_);
+  VioService service(node, folder_.path());
+  for (int k = 0; k < 20; ++k) {
+    if (k == 10 || k == 15 || k == 16) continue;
+    const image_t image = grey_message(0.1 * k, some_picture());
+    bus_.publish(channel::kCamera, &image);
+    drain();
+  }
+  EXPECT_EQ(node.health().counter("rejected.camera.missed"), 3);
+}
+
 TEST_F(VioServiceTest, EndsItsSessionOnRequest) {
   Node node({"vio"}, bus_);
   VioService service(node, folder_.path());
