@@ -334,7 +334,7 @@ void Node::subscribe_raw(const std::string& channel, Delivery delivery, size_t d
   auto subscription = std::make_unique<Impl::Subscription>();
   subscription->channel = channel;
   subscription->delivery = delivery;
-  subscription->depth = std::max<size_t>(depth, 1);
+  subscription->depth = delivery == Delivery::kReplace ? 1 : std::max<size_t>(depth, 1);
   subscription->handler = std::move(handler);
   subscription->node = this;
   if (impl_->key) subscription->seals.emplace(*impl_->key);

@@ -145,6 +145,7 @@ void FusionService::publish(const Solution& solution) {
 }
 
 void FusionService::on_keyframe(const vio_keyframe_t& message) {
+  if (repeats_.add(message)) return;
   Keyframe keyframe;
   keyframe.utime = message.utime;
   keyframe.session = message.session;

@@ -3,6 +3,7 @@
 
 #include <filesystem>
 
+#include "common/bus/keyframe_repeats.h"
 #include "common/bus/node.h"
 #include "common/bus/service_main.h"
 #include "orthonav/compass_t.hpp"
@@ -37,6 +38,7 @@ class FusionService final : public Service {
   int64_t newest_imu_utime_ = 0;           // likewise
   double height_above_ground_ = kUnknown;  // of the newest odometry state
   int last_keyframe_session_ = 0;
+  KeyframeRepeats repeats_;
   int last_keyframe_id_ = -1;
   double solve_ms_ = 0.0;
 };

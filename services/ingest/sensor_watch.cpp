@@ -9,11 +9,11 @@ namespace orthonav::ingest {
 
 namespace {
 
-constexpr int64_t kWindow = 500'000;          // microseconds over which refusals are counted
-constexpr double kTolerableRefusals = 0.1;    // of the messages in the window
-constexpr int64_t kFrozenImu = 300'000;       // microseconds
-constexpr int64_t kFrozenCamera = 1'000'000;  // microseconds
-constexpr int kFrozenReadings = 10;
+constexpr int64_t kWindow = 500'000;        // microseconds over which refusals are counted
+constexpr double kTolerableRefusals = 0.1;  // of the messages in the window
+// For how long, in microseconds, and in how many readings a sensor may say the very same: reported within a second.
+constexpr int64_t kFrozenImu = 300'000, kFrozenCamera = 800'000;
+constexpr int kFrozenSamples = 10, kFrozenImages = 4;
 
 std::string_view bytes_of(const void* data, size_t size) {
   return {static_cast<const char*>(data), size};
@@ -22,6 +22,7 @@ std::string_view bytes_of(const void* data, size_t size) {
 struct Reading {
   size_t hash;
   int64_t longest;  // microseconds for which it may stay the same; 0: for ever
+  int most;         // readings that may be the same
 };
 
 // A compass at rest may well repeat itself, so only what has noise in its last digits is judged.
@@ -30,11 +31,11 @@ Reading reading_of(const SensorMessage& message) {
   if (const auto* imu = std::get_if<imu_t>(&message)) {
     return {hash(bytes_of(imu->angular_rate, sizeof(imu->angular_rate))) * 31 +
                 hash(bytes_of(imu->specific_force, sizeof(imu->specific_force))),
-            kFrozenImu};
+            kFrozenImu, kFrozenSamples};
   }
   if (const auto* image = std::get_if<image_t>(&message))
-    return {hash(bytes_of(image->data.data(), image->data.size())), kFrozenCamera};
-  return {0, 0};
+    return {hash(bytes_of(image->data.data(), image->data.size())), kFrozenCamera, kFrozenImages};
+  return {0, 0, 0};
 }
 
 }  // namespace
@@ -48,7 +49,7 @@ bool SensorWatch::frozen(const SensorMessage& message, int64_t now) {
     same_count_ = 0;
   }
   ++same_count_;
-  return same_count_ >= kFrozenReadings && now - same_since_ >= reading.longest;
+  return same_count_ >= reading.most && now - same_since_ >= reading.longest;
 }
 
 void SensorWatch::judged(const std::string& fault, int64_t now) {

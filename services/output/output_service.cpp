@@ -45,6 +45,10 @@ OutputService::OutputService(Node& node, const std::filesystem::path& config_fol
 }
 
 void OutputService::on_nav(const nav_state_t& nav) {
+  if (const char* why = guard_.refusal(nav)) {
+    node_.health().reject(fmt::format("nav.{}", why), "NAV_STATE refused: is there a second publisher?");
+    return;
+  }
   node_.health().set_state(Health::State::kOk);
   // States at the images' times come late among those of the inertial sensor: a reader wants time to move forward.
   const auto period = static_cast<int64_t>(1e6 / options_.rate_hz);

@@ -7,6 +7,7 @@
 #include <string>
 #include <vector>
 
+#include "common/bus/nav_guard.h"
 #include "common/bus/node.h"
 #include "common/bus/service_main.h"
 #include "orthonav/nav_state_t.hpp"
@@ -33,6 +34,7 @@ class OutputService final : public Service {
   Node& node_;
   OutputOptions options_;
   std::vector<Output> outputs_;
+  NavGuard guard_;
   int64_t newest_ = 0;  // utime of the newest state sent
 };
 

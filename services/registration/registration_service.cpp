@@ -70,9 +70,9 @@ RegistrationService::RegistrationService(Node& node, const Setup& setup)
   node_.subscribe<image_t>(
       channel::kCamera, Delivery::kLatest, [this](const image_t& image) { handle(image); }, 30);
   node_.subscribe<compass_t>(channel::kCompass, Delivery::kAll, [this](const compass_t& compass) { handle(compass); });
-  // A fix is worth more fresh than complete: whoever is behind goes on with the newest keyframe.
-  node_.subscribe<vio_keyframe_t>(channel::kVioKeyframe, Delivery::kLatest,
-                                  [this](const vio_keyframe_t& keyframe) { handle(keyframe); });
+  // A fix is worth more fresh than complete: whoever is behind goes on with the newest keyframe, which comes twice.
+  node_.subscribe<vio_keyframe_t>(
+      channel::kVioKeyframe, Delivery::kLatest, [this](const vio_keyframe_t& keyframe) { handle(keyframe); }, 2);
   node_.subscribe<map_info_t>(channel::kMapInfo, Delivery::kReplace, [this](const map_info_t& info) { handle(info); });
   node_.subscribe<map_tile_t>(channel::kMapTile, Delivery::kAll, [this](const map_tile_t& tile) { handle(tile); });
   node_.subscribe<nav_state_t>(channel::kNavState, Delivery::kReplace,
@@ -149,7 +149,11 @@ void RegistrationService::handle(const map_info_t& info) {
 }
 
 void RegistrationService::handle(const nav_state_t& state) {
-  if (!std::isfinite(state.latitude_deg) || !std::isfinite(state.longitude_deg)) return;
+  if (const char* why = nav_guard_.refusal(state)) {
+    node_.health().reject(fmt::format("nav.{}", why), "NAV_STATE refused: is there a second publisher?");
+    return;
+  }
+  if (std::isnan(state.latitude_deg)) return;
   const Eigen::Vector3d p_G = frame_.to_enu({state.latitude_deg, state.longitude_deg, state.ellipsoidal_height});
   map_client_.move(p_G.head<2>(), {state.v_G_B[0], state.v_G_B[1]},
                    std::sqrt(state.covariance[0] + state.covariance[7]));
@@ -252,6 +256,7 @@ void RegistrationService::take_map() {
 }
 
 void RegistrationService::handle(const vio_keyframe_t& keyframe) {
+  if (repeats_.add(keyframe)) return;
   node_.health().add("keyframes.received");
   map_client_.see(keyframe.height_above_ground / camera_.focal());
   if (!has_map()) {

@@ -9,6 +9,8 @@
 #include <optional>
 #include <string>
 
+#include "common/bus/keyframe_repeats.h"
+#include "common/bus/nav_guard.h"
 #include "common/bus/node.h"
 #include "common/bus/service_main.h"
 #include "common/geo/enu_frame.h"
@@ -74,10 +76,12 @@ class RegistrationService : public Service {
   bool uses_submap_;  // method submap: else registrar_ does the work
   Registrar registrar_;
   SubmapRegistrar submap_;
+  NavGuard nav_guard_;
   std::deque<nav_state_t> nav_states_;  // of the last seconds, those with a position
 
   std::map<int64_t, image_t> images_;  // by utime
   HeadingBuffer headings_;
+  KeyframeRepeats repeats_;
   std::deque<vio_keyframe_t> pending_;  // waiting for the compass sample after them
   int64_t newest_data_ = 0;             // utime of the newest image or compass sample
 

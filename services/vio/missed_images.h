@@ -1,4 +1,5 @@
-// How many images did not arrive, told by the gaps in their times: the bus loses an image as a whole and says nothing.
+// How many images did not come, or not soundly or in time to be used, told by the gaps in the times of those that did:
+// the bus loses an image as a whole and says nothing.
 // Not thread-safe.
 #pragma once
 

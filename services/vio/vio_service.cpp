@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cctype>
+#include <chrono>
 #include <cmath>
 #include <limits>
 #include <utility>
@@ -11,7 +12,6 @@
 #include "common/bus/channels.h"
 #include "common/camera/image_decode.h"
 #include "orthonav/altitude_t.hpp"
-#include "orthonav/vio_keyframe_t.hpp"
 #include "orthonav/vio_state_t.hpp"
 
 namespace orthonav::vio {
@@ -20,6 +20,8 @@ namespace {
 constexpr double kUnknown = std::numeric_limits<double>::quiet_NaN();
 // Images that may wait: one in work and a few that arrived while it was, so that a slow frame costs no track.
 constexpr size_t kImageQueue = 4;
+// How soon after a keyframe at most it is sent again.
+constexpr std::chrono::milliseconds kRepeatKeyframe{100};
 
 void put(const Eigen::Vector3d& from, double* to) {
   std::copy_n(from.data(), 3, to);
@@ -63,6 +65,7 @@ VioService::VioService(Node& node, const VioSetup& setup, std::filesystem::path 
     node_.subscribe<nav_state_t>(channel::kNavState, Delivery::kAll,
                                  [this](const nav_state_t& message) { on_nav(message); });
   }
+  if (node_.live()) node_.every(kRepeatKeyframe, [this] { repeat_keyframe(); });  // a replay loses nothing
   node_.health().set_state(Health::State::kStarting, "waiting for IMU and CAMERA");
 }
 
@@ -76,13 +79,14 @@ void VioService::on_imu(const imu_t& message) {
 }
 
 void VioService::on_image(const image_t& message) {
-  for (int missing = missed_images_.add(message.utime); missing > 0; --missing) {
-    node_.health().reject("camera.missed", "images did not arrive: are packets lost, or is the camera late?");
-  }
   const DecodedImage image = decode_image(message, setup_.camera.width(), setup_.camera.height());
   if (!image.ok()) {
     node_.health().reject("camera", image.error);
     return;
+  }
+  if (const int missing = missed_images_.add(message.utime); missing > 0) {
+    node_.health().reject("camera.missed", "images did not come in time: are packets lost, or is this board too slow?");
+    node_.health().add("rejected.camera.missed", missing - 1);
   }
   vio_.feed_image(message.utime, image.grey);
   drain();
@@ -189,6 +193,12 @@ void VioService::publish_keyframe(const VioOutput& output) {
   }
   message.num_features = static_cast<int32_t>(message.features.size());
   node_.publish(channel::kVioKeyframe, message);
+  to_repeat_ = std::move(message);
+}
+
+void VioService::repeat_keyframe() {
+  if (to_repeat_) node_.publish(channel::kVioKeyframe, *to_repeat_);
+  to_repeat_.reset();
 }
 
 void VioService::update_health(const VioOutput& output) {

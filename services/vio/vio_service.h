@@ -3,6 +3,7 @@
 
 #include <filesystem>
 #include <memory>
+#include <optional>
 #include <string>
 
 #include "common/bus/node.h"
@@ -10,6 +11,7 @@
 #include "orthonav/image_t.hpp"
 #include "orthonav/imu_t.hpp"
 #include "orthonav/nav_state_t.hpp"
+#include "orthonav/vio_keyframe_t.hpp"
 #include "orthonav/vio_reset_t.hpp"
 #include "services/vio/missed_images.h"
 #include "services/vio/scale_hint.h"
@@ -35,6 +37,7 @@ class VioService final : public Service {
   void remember();
   void publish_state(const VioOutput& output, double processing_ms);
   void publish_keyframe(const VioOutput& output);
+  void repeat_keyframe();
   void update_health(const VioOutput& output);
   void report_rejects();
 
@@ -43,6 +46,7 @@ class VioService final : public Service {
   Vio vio_;
   ScaleHinter hinter_;
   MissedImages missed_images_;
+  std::optional<vio_keyframe_t> to_repeat_;  // once more, for who missed it
   std::filesystem::path memory_file_;
   std::map<std::string, double> reported_;  // rejects already shown in the health
   int announced_session_ = 0;

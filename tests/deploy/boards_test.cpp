@@ -49,6 +49,11 @@ TEST_F(Boards, AServiceOnTwoBoardsOnNoneOrUnknownIsAnErrorWithItsName) {
               HasSubstr("registration runs on no board"));
   EXPECT_THAT(error_of("boards: [a]\na: {address: 10.0.0.1, services: [pilot]}"), HasSubstr("'pilot'"));
   EXPECT_THAT(error_of("boards: [../a]\n"), HasSubstr("no name"));
+  const std::string with_output =
+      "{address: 10.0.0.1, services: [ingest, vio, map_server, registration, fusion, output]}";
+  EXPECT_EQ(error_of("boards: [a]\na: " + with_output), "no error");
+  EXPECT_THAT(error_of("boards: [a, b]\na: " + with_output + "\nb: {address: 10.0.0.2, services: [output]}"),
+              HasSubstr("output runs on a already"));
   EXPECT_THAT(error_of("boards: [a]\nb: {}\na: " + rest), HasSubstr("'b'"));
 }
 

@@ -103,6 +103,9 @@ class Flight {
   void hear(int timeout_ms) {
     const size_t before = nav_.messages.size();
     bus_.handleTimeout(timeout_ms);
+    const auto forged = std::remove_if(nav_.messages.begin() + static_cast<std::ptrdiff_t>(before), nav_.messages.end(),
+                                       [](const nav_state_t& m) { return m.processing_ms == kForged; });
+    nav_.messages.erase(forged, nav_.messages.end());
     for (size_t i = before; i < nav_.messages.size(); ++i) heard_.push_back(Clock::now());
     for (auto& [name, service] : running_) {
       if (service.restart_at) {

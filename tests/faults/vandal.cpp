@@ -1,8 +1,10 @@
 #include "tests/faults/vandal.h"
 
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <limits>
+#include <string>
 #include <vector>
 
 #include "common/bus/channels.h"
@@ -11,20 +13,53 @@
 #include "orthonav/health_t.hpp"
 #include "orthonav/image_t.hpp"
 #include "orthonav/imu_t.hpp"
+#include "orthonav/magnetometer_t.hpp"
 #include "orthonav/map_fix_t.hpp"
 #include "orthonav/map_info_t.hpp"
 #include "orthonav/map_tile_request_t.hpp"
 #include "orthonav/map_tile_t.hpp"
+#include "orthonav/nav_state_t.hpp"
 #include "orthonav/vio_keyframe_t.hpp"
+#include "orthonav/vio_reset_t.hpp"
 #include "orthonav/vio_state_t.hpp"
 
 namespace orthonav::faults {
 
 namespace {
 
-constexpr const char* kChannels[] = {
-    channel::kImu,     channel::kCamera,  channel::kCompass, channel::kVioState,       channel::kVioKeyframe,
-    channel::kMapInfo, channel::kMapTile, channel::kMapFix,  channel::kMapTileRequest, channel::kHealth};
+// A channel, and the eight bytes with which its messages begin.
+struct Target {
+  const char* channel;
+  std::array<uint8_t, 8> fingerprint;
+};
+
+template <class Msg>
+Target target(const char* channel) {
+  const Msg message{};
+  std::vector<uint8_t> bytes(static_cast<size_t>(message.getEncodedSize()));
+  message.encode(bytes.data(), 0, static_cast<int>(bytes.size()));
+  Target made{channel, {}};
+  std::copy_n(bytes.begin(), made.fingerprint.size(), made.fingerprint.begin());
+  return made;
+}
+
+const std::vector<Target>& targets() {
+  static const std::vector<Target> all{target<imu_t>(channel::kImu),
+                                       target<image_t>(channel::kCamera),
+                                       target<compass_t>(channel::kCompass),
+                                       target<magnetometer_t>(channel::kMagnetometer),
+                                       target<altitude_t>(channel::kAltitude),
+                                       target<vio_state_t>(channel::kVioState),
+                                       target<vio_keyframe_t>(channel::kVioKeyframe),
+                                       target<vio_reset_t>(channel::kVioReset),
+                                       target<map_info_t>(channel::kMapInfo),
+                                       target<map_tile_t>(channel::kMapTile),
+                                       target<map_tile_request_t>(channel::kMapTileRequest),
+                                       target<map_fix_t>(channel::kMapFix),
+                                       target<nav_state_t>(channel::kNavState),
+                                       target<health_t>(channel::kHealth)};
+  return all;
+}
 
 // A number that no sensor reads.
 double absurd(std::mt19937_64& random) {
@@ -57,18 +92,16 @@ int64_t some_time(std::mt19937_64& random, int64_t now) {
 void publish_garbage(lcm::LCM& bus, std::mt19937_64& random) {
   std::vector<uint8_t> bytes(random() % 400);
   for (auto& byte : bytes) byte = static_cast<uint8_t>(random());
+  const Target& target = targets()[random() % targets().size()];
   // A sound fingerprint first, every third time, so that the decoder goes on to the lengths that follow.
   if (random() % 3 == 0) {
-    const vio_keyframe_t keyframe{};
-    std::vector<uint8_t> sound(static_cast<size_t>(keyframe.getEncodedSize()));
-    keyframe.encode(sound.data(), 0, static_cast<int>(sound.size()));
-    std::copy_n(sound.begin(), std::min<size_t>({8, sound.size(), bytes.size()}), bytes.begin());
+    std::copy_n(target.fingerprint.begin(), std::min(target.fingerprint.size(), bytes.size()), bytes.begin());
   }
-  bus.publish(kChannels[random() % std::size(kChannels)], bytes.data(), static_cast<unsigned>(bytes.size()));
+  bus.publish(target.channel, bytes.data(), static_cast<unsigned>(bytes.size()));
 }
 
 void publish_absurd(lcm::LCM& bus, std::mt19937_64& random, int64_t now, int32_t session, int32_t keyframe) {
-  switch (random() % 10) {
+  switch (random() % 13) {
     case 0: {
       imu_t m{};
       m.utime = some_time(random, now);
@@ -166,6 +199,40 @@ void publish_absurd(lcm::LCM& bus, std::mt19937_64& random, int64_t now, int32_t
       m.tile = static_cast<int32_t>(random());
       m.num_parts = static_cast<int32_t>(random());
       bus.publish(channel::kMapTile, &m);
+      break;
+    }
+    case 9: {
+      nav_state_t m{};
+      m.utime = some_time(random, now);
+      m.session = session;
+      m.mode = nav_state_t::MAP_AIDED;
+      m.reset_counter = 1;
+      // As sure of being 100 km away as the fixes are; or nowhere.
+      m.latitude_deg = random() % 2 == 0 ? 49.5 : absurd(random);
+      m.longitude_deg = 8.5;
+      m.ellipsoidal_height = 300;
+      m.processing_ms = kForged;
+      fill(m.v_G_B, 3, random);
+      fill(m.covariance, 36, random);
+      if (random() % 2 == 0) m.covariance[0] = m.covariance[7] = m.covariance[14] = 0.01;
+      bus.publish(channel::kNavState, &m);
+      break;
+    }
+    case 10: {
+      magnetometer_t m{};
+      m.utime = some_time(random, now);
+      fill(m.field, 3, random);
+      bus.publish(channel::kMagnetometer, &m);
+      break;
+    }
+    case 11: {
+      health_t m{};
+      m.utime = some_time(random, now);
+      m.service = "vio";
+      m.host = std::string(1 + random() % 50, static_cast<char>(random()));
+      m.state = static_cast<int8_t>(random());
+      m.uptime = absurd(random);
+      bus.publish(channel::kHealth, &m);
       break;
     }
     default: {

@@ -175,6 +175,24 @@ TEST(SensorWatch, AFrozenImuMeasuresNothing) {
     EXPECT_FALSE(watch.frozen(still, 1'000'000 + 5'000 * i)) << "a compass may stand still";
 }
 
+TEST(SensorWatch, AFrozenCameraIsSeenWithinASecondAtAnyRate) {
+  for (const int64_t period : {33'000, 100'000, 200'000}) {
+    SensorWatch watch("CAMERA");
+    image_t image{};
+    image.data.assign(100, 1);
+    int64_t now = 1'000'000;
+    for (int i = 0; i < 50; ++i) {
+      image.data[0] = static_cast<uint8_t>(i);
+      EXPECT_FALSE(watch.frozen(image, now += period)) << i;
+    }
+    const int64_t freeze = now;
+    while (now < freeze + 1'000'000 && !watch.frozen(image, now += period)) {
+    }
+    EXPECT_LT(now, freeze + 1'000'000) << period;
+    EXPECT_GT(now, freeze + 700'000) << period;
+  }
+}
+
 class SensorOptionsFile : public testing::Test {
  protected:
   std::string error_of(const std::string& yaml) const {

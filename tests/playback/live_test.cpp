@@ -1,11 +1,15 @@
 // The same short flight through five processes over UDP multicast, in real time (instrumented: slower).
 #include <filesystem>
 #include <fstream>
+#include <map>
+#include <set>
 #include <thread>
 
 #include <gtest/gtest.h>
 
 #include "common/bus/channels.h"
+#include "common/flightlog/flightlog.h"
+#include "common/geo/enu_frame.h"
 #include "orthonav/health_t.hpp"
 #include "orthonav/map_fix_t.hpp"
 #include "orthonav/nav_state_t.hpp"
@@ -13,6 +17,7 @@
 #include "tests/playback/flight_fixture.h"
 #include "tests/support/bus_client.h"
 #include "tests/support/flight_speed.h"
+#include "tests/support/temporary_folder.h"
 
 namespace orthonav {
 namespace {
@@ -32,10 +37,35 @@ class LiveFlight : public testing::Test {
     arguments.insert(arguments.end(), more.begin(), more.end());
     return std::make_unique<ChildProcess>(arguments, test::flight_folder() / ("live-" + service + ".txt"));
   }
+  // As the units start them.
+  Arguments options_of(const std::string& service) const {
+    if (service == "map-server") return {"--map", test::flight_map()};
+    if (service == "registration") return {};
+    return {"--memory", memory_ / service};
+  }
+  std::map<std::string, std::unique_ptr<ChildProcess>> start_all() const {
+    std::map<std::string, std::unique_ptr<ChildProcess>> services;
+    for (const char* name : {"map-server", "registration", "fusion", "vio"})
+      services[name] = start(name, options_of(name));
+    return services;
+  }
   std::unique_ptr<ChildProcess> start_ingest() const {
     return start("ingest", {"--log", test::flight_log(), "--speed", test::flight_speed(), "--wait-for",
                             "vio,map_server,registration,fusion"});
   }
+  // Of a log, by utime.
+  static std::map<int64_t, map_fix_t> valid_fixes(const fs::path& log) {
+    std::map<int64_t, map_fix_t> fixes;
+    LogReader reader(log);
+    while (const auto event = reader.next()) {
+      if (event->channel != channel::kMapFix) continue;
+      const auto fix = event->decode<map_fix_t>();
+      if (fix && fix->valid) fixes[fix->utime] = *fix;
+    }
+    return fixes;
+  }
+
+  test::TemporaryFolder memory_;
 };
 
 TEST_F(LiveFlight, FiveProcessesReachTheReplaysAccuracyAndStopInOrder) {
@@ -46,49 +76,82 @@ TEST_F(LiveFlight, FiveProcessesReachTheReplaysAccuracyAndStopInOrder) {
   ASSERT_EQ(fly.wait_exit(test::flown(150s)), 0);
   const auto report = test::evaluate(out);
   EXPECT_LT(report["fusion"]["rmse_m"].get<double>(), 3.76);
+
+  // What lcm-logger recorded of it, played by lcm-logplayer to services that have just started, gives the same fixes.
+  const auto recorded = valid_fixes(out);
+  ASSERT_GT(recorded.size(), 30u);
+  lcm::LCM bus;
+  ASSERT_TRUE(bus.good());
+  Collector<map_fix_t> fixes(bus, channel::kMapFix);
+  Collector<health_t> heartbeats(bus, channel::kHealth);
+  const auto services = start_all();
+  const auto all_there = [&] {
+    std::set<std::string> there;
+    for (const auto& message : heartbeats.messages) there.insert(message.service);
+    return there.size() == services.size();
+  };
+  ASSERT_TRUE(handle_until(bus, all_there));
+  ChildProcess player(
+      {"/usr/bin/lcm-logplayer", "--speed=" + test::flight_speed(), "--regexp=^(IMU|CAMERA|COMPASS)$", out},
+      test::flight_folder() / "live-player.txt");
+  ASSERT_TRUE(handle_until(
+      bus, [&] { return !player.running(); }, test::flown(100s)));
+  handle_until(
+      bus, [&] { return !fixes.messages.empty() && fixes.messages.back().utime >= recorded.rbegin()->first; }, 5s);
+  size_t same = 0;
+  for (const map_fix_t& fix : fixes.messages) {
+    const auto it = recorded.find(fix.utime);
+    if (!fix.valid || it == recorded.end()) continue;
+    const EnuFrame frame({it->second.latitude_deg, it->second.longitude_deg, it->second.ellipsoidal_height});
+    if (frame.to_enu({fix.latitude_deg, fix.longitude_deg, fix.ellipsoidal_height}).norm() < 1) ++same;
+  }
+  // One or the other may have given a keyframe up.
+  EXPECT_GE(static_cast<double>(same), 0.8 * static_cast<double>(recorded.size()));
 }
 
-TEST_F(LiveFlight, AServiceKilledInFlightComesBackAndTheOthersStay) {
+TEST_F(LiveFlight, AnyServiceKilledIsNavigatingAgainWithinFiveSecondsAndTheOthersStay) {
   lcm::LCM bus;
   ASSERT_TRUE(bus.good());
   Collector<nav_state_t> nav(bus, channel::kNavState);
-  auto map_server = start("map-server", {"--map", test::flight_map()});
-  auto registration = start("registration");
-  auto fusion = start("fusion");
-  auto vio = start("vio");
-  auto ingest = start_ingest();
-  const auto aided = [&] { return !nav.messages.empty() && nav.messages.back().mode == nav_state_t::MAP_AIDED; };
-  ASSERT_TRUE(handle_until(bus, aided, test::flown(40s)));
-
-  vio->signal(SIGKILL);
-  ASSERT_EQ(vio->wait_exit(5s), 128 + SIGKILL);
-  const int32_t session = nav.messages.back().session;
-  vio = start("vio");
-  // A new odometry world: fusion must not tie it to the old one, and must find itself anew.
   Collector<map_fix_t> fixes(bus, channel::kMapFix);
-  const auto found = [&] {
-    return !fixes.messages.empty() && fixes.messages.back().valid && fixes.messages.back().session != session;
-  };
-  EXPECT_TRUE(handle_until(
-      bus, [&] { return found() && aided() && nav.messages.back().session != session; }, test::flown(30s)));
-  EXPECT_TRUE(map_server->running());
-  EXPECT_TRUE(registration->running());
-  EXPECT_TRUE(fusion->running());
+  auto services = start_all();
+  const auto ingest = start_ingest();
+  const auto aided = [&] { return !nav.messages.empty() && nav.messages.back().mode == nav_state_t::MAP_AIDED; };
+  const auto fixed = [&] { return !fixes.messages.empty() && fixes.messages.back().valid; };
+  ASSERT_TRUE(handle_until(
+      bus, [&] { return aided() && fixed(); }, test::flown(40s)));
+
+  for (const char* killed : {"map-server", "registration", "fusion", "vio"}) {
+    const nav_state_t before = nav.messages.back();
+    services.at(killed)->signal(SIGKILL);
+    ASSERT_EQ(services.at(killed)->wait_exit(5s), 128 + SIGKILL);
+    services.at(killed) = start(killed, options_of(killed));
+    nav.messages.clear();
+    fixes.messages.clear();
+    // A new odometry world: fusion must not tie it to the old one.
+    const auto navigating = [&] {
+      return aided() && (killed != std::string("vio") || nav.messages.back().session != before.session);
+    };
+    EXPECT_TRUE(handle_until(bus, navigating, test::flown(5s))) << killed;
+    EXPECT_TRUE(handle_until(bus, fixed, test::flown(10s))) << killed;
+    EXPECT_EQ(nav.messages.back().reset_counter, before.reset_counter) << killed;
+    for (const auto& [name, service] : services) EXPECT_TRUE(service->running()) << name << " after " << killed;
+  }
 
   // Garbage on every channel is no reason to stop either.
   const std::string garbage(300, 'x');
-  for (const char* channel :
-       {channel::kImu, channel::kCamera, channel::kCompass, channel::kVioState, channel::kVioKeyframe,
-        channel::kMapInfo, channel::kMapTile, channel::kMapTileRequest, channel::kMapFix, channel::kHealth}) {
+  for (const char* channel : {channel::kImu, channel::kCamera, channel::kCompass, channel::kVioState,
+                              channel::kVioKeyframe, channel::kMapInfo, channel::kMapTile, channel::kMapTileRequest,
+                              channel::kMapFix, channel::kNavState, channel::kVioReset, channel::kHealth}) {
     for (int i = 0; i < 100; ++i) bus.publish(channel, garbage.data(), static_cast<unsigned>(garbage.size()));
   }
   const size_t count = nav.messages.size();
   EXPECT_TRUE(handle_until(
       bus, [&] { return nav.messages.size() > count + 20 && aided(); }, test::flown(20s)));
-  for (auto* service : {&map_server, &registration, &fusion, &vio}) {
-    EXPECT_TRUE((*service)->running());
-    (*service)->signal(SIGTERM);
-    EXPECT_EQ((*service)->wait_exit(10s), 0);
+  for (const auto& [name, service] : services) {
+    EXPECT_TRUE(service->running()) << name;
+    service->signal(SIGTERM);
+    EXPECT_EQ(service->wait_exit(10s), 0) << name;
   }
 }
 

@@ -17,7 +17,7 @@ namespace {
 const std::vector<std::string> kChain{"ingest", "vio", "map_server", "registration", "fusion"};
 
 bool known(const std::string& service) {
-  return service == "record" || std::find(kChain.begin(), kChain.end(), service) != kChain.end();
+  return service == "record" || service == "output" || std::find(kChain.begin(), kChain.end(), service) != kChain.end();
 }
 
 }  // namespace

@@ -7,6 +7,7 @@
 #include <fmt/format.h>
 
 #include "common/bus/channels.h"
+#include "common/bus/keyframe_repeats.h"
 #include "common/flightlog/flightlog.h"
 #include "orthonav/gnss_reference_t.hpp"
 #include "orthonav/image_t.hpp"
@@ -24,6 +25,7 @@ struct Collected {
   std::vector<truth_t> truth;
   std::vector<gnss_reference_t> gnss;
   std::optional<Geodetic> map_anchor;
+  KeyframeRepeats repeats;
 };
 
 bool is_place(double latitude_deg, double longitude_deg, double height) {
@@ -57,6 +59,7 @@ void sort_in(const LogEvent& event, Collected& collected) {
     take<vio_state_t>(event, collected, [&](const vio_state_t& m) { record.vio.push_back({event.utime, m}); });
   } else if (event.channel == channel::kVioKeyframe) {
     take<vio_keyframe_t>(event, collected, [&](vio_keyframe_t m) {
+      if (collected.repeats.add(m)) return;
       m.features.clear();
       m.features.shrink_to_fit();
       record.keyframes.push_back(std::move(m));
