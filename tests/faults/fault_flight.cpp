@@ -191,7 +191,7 @@ class Flight {
 
   // The flight from 0.7 s after now on, as a log.
   std::filesystem::path rest() const {
-    const auto file = folder_ / "rest.lcm";
+    auto file = folder_ / "rest.lcm";
     LogReader reader(log_);
     LogWriter writer(file);
     const int64_t from = (truth_.messages.empty() ? 0 : truth_.messages.back().utime) + 700'000;
