@@ -21,7 +21,7 @@ inline std::filesystem::path scratch_folder() {
   return kFolder;
 }
 
-inline std::filesystem::path scratch_file(const std::string& name, const void* data, size_t size) {
+inline std::filesystem::path scratch_file(const std::filesystem::path& name, const void* data, size_t size) {
   auto file = scratch_folder() / name;
   std::ofstream(file, std::ios::binary | std::ios::trunc)
       .write(static_cast<const char*>(data), static_cast<std::streamsize>(size));
