@@ -14,6 +14,7 @@
 #include <fmt/format.h>
 
 #include "common/bus/channels.h"
+#include "common/bus/keyframe_repeats.h"
 #include "common/camera/image_decode.h"
 #include "common/flightlog/flightlog.h"
 #include "common/geo/enu_frame.h"
@@ -184,6 +185,7 @@ void run(const Arguments& arguments) {
                  end - start, is.map_offset.x(), is.map_offset.y(), fix.evidence, fix.reason);
     }
   };
+  KeyframeRepeats repeats;
   LogReader reader(arguments.log);
   while (const auto event = reader.next()) {
     if (event->channel == channel::kCamera) {
@@ -204,7 +206,8 @@ void run(const Arguments& arguments) {
           heading_of(Eigen::Quaterniond(truth->q_ENU_B[0], truth->q_ENU_B[1], truth->q_ENU_B[2], truth->q_ENU_B[3]));
       truths[truth->utime] = sample;
     } else if (event->channel == channel::kVioKeyframe) {
-      if (const auto keyframe = event->decode<vio_keyframe_t>()) judge(*keyframe);
+      const auto keyframe = event->decode<vio_keyframe_t>();
+      if (keyframe && !repeats.add(*keyframe)) judge(*keyframe);
     }
   }
   if (csv != nullptr) std::fclose(csv);
