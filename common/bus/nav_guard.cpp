@@ -1,5 +1,6 @@
 #include "common/bus/nav_guard.h"
 
+#include <algorithm>
 #include <cmath>
 #include <cstdint>
 #include <numbers>
@@ -11,6 +12,7 @@ namespace {
 constexpr double kLongestGap = 2;      // s; after it any place is believed
 constexpr double kHighestSpeed = 150;  // m/s
 constexpr double kCorrection = 50;     // m: what a fix may correct at once
+constexpr double kWidest = 100;        // m: a position less certain is none (fusion calls it LOST)
 constexpr int64_t kResetsMissed = 3;   // states with the resets between may be lost
 constexpr double kMetresPerDegree = 111'320;
 
@@ -37,8 +39,8 @@ const char* NavGuard::refusal(const nav_state_t& state) {
     const bool flown = moved <= kCorrection + kHighestSpeed * seconds + 5 * last_->stddev;
     if (!flown && (resets < 1 || resets > kResetsMissed)) return "jump";
   }
-  last_ = {state.utime, state.latitude_deg, state.longitude_deg, std::sqrt(state.covariance[0] + state.covariance[7]),
-           state.reset_counter};
+  const double stddev = std::min(kWidest, std::sqrt(state.covariance[0] + state.covariance[7]));
+  last_ = {state.utime, state.latitude_deg, state.longitude_deg, stddev, state.reset_counter};
   return nullptr;
 }
 

@@ -88,8 +88,8 @@ void Health::set_state(State state, const std::string& message) {
   message_ = message;
 }
 
-void Health::reject(const std::string& what, const std::string& message) {
-  add("rejected." + what);
+void Health::reject(const std::string& what, const std::string& message, double amount) {
+  add("rejected." + what, amount);
   reject_message_ = message;
   reject_pending_ = true;
 }

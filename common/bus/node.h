@@ -59,8 +59,8 @@ class Health {
   void set_state(State state, const std::string& message = "");
   void set(const std::string& counter, double value) { counters_[counter] = value; }
   void add(const std::string& counter, double amount = 1) { counters_[counter] += amount; }
-  // Counts under `rejected.<what>` and degrades the state for 5 s with this message.
-  void reject(const std::string& what, const std::string& message);
+  // Counts `amount` under `rejected.<what>` and degrades the state for 5 s with this message.
+  void reject(const std::string& what, const std::string& message, double amount = 1);
 
   State state() const { return state_; }
   const std::string& message() const { return message_; }

@@ -17,9 +17,11 @@ class MissedImages {
   // stopped or another flight has begun. A camera that slows down misses images for five of them; where more than a
   // third is lost, fewer are counted.
   int add(int64_t utime) {
-    const int64_t interval = utime - newest_;
+    const bool follows = utime > newest_;
+    const uint64_t ahead = static_cast<uint64_t>(utime) - static_cast<uint64_t>(newest_);  // a forged stamp may be any
     newest_ = utime;
-    if (interval <= 0 || interval > kLongestGap) return 0;
+    if (!follows || ahead > kLongestGap) return 0;
+    const auto interval = static_cast<int64_t>(ahead);
     int missing = 0;
     if (count_ >= kLeast) {
       auto sorted = intervals_;
@@ -34,7 +36,7 @@ class MissedImages {
 
  private:
   static constexpr size_t kIntervals = 9, kLeast = 5;
-  static constexpr int64_t kLongestGap = 2'000'000;  // microseconds
+  static constexpr uint64_t kLongestGap = 2'000'000;  // microseconds
   std::array<int64_t, kIntervals> intervals_{};
   size_t count_ = 0;
   int64_t newest_ = 0;

@@ -85,8 +85,8 @@ void VioService::on_image(const image_t& message) {
     return;
   }
   if (const int missing = missed_images_.add(message.utime); missing > 0) {
-    node_.health().reject("camera.missed", "images did not come in time: are packets lost, or is this board too slow?");
-    node_.health().add("rejected.camera.missed", missing - 1);
+    node_.health().reject("camera.missed", "images did not come in time: are packets lost, or is this board too slow?",
+                          missing);
   }
   vio_.feed_image(message.utime, image.grey);
   drain();
@@ -240,9 +240,9 @@ void VioService::report_rejects() {
     }
     // Vio counts "imu.rejected.order"; Health keeps its own count under "rejected.imu.order".
     const std::string what = name.substr(0, at) + name.substr(at + 9);
-    for (double& shown = reported_[name]; shown < value; ++shown) {
-      node_.health().reject(what, "rejected input: " + what);
-    }
+    double& shown = reported_[name];
+    if (value > shown) node_.health().reject(what, "rejected input: " + what, value - shown);
+    shown = std::max(shown, value);
   }
 }
 

@@ -59,6 +59,11 @@ TEST(NavGuard, AnUncertainPositionMayMoveFurther) {
   coasting.covariance[0] = coasting.covariance[7] = 100 * 100;
   EXPECT_EQ(guard.refusal(coasting), nullptr);
   EXPECT_EQ(guard.refusal(moved(flying(0.1), 400)), nullptr);
+  // But whoever claims to know nothing does not make any place believable.
+  nav_state_t forged = moved(flying(0.2), 400);
+  forged.covariance[0] = forged.covariance[7] = 1e12;
+  EXPECT_EQ(guard.refusal(forged), nullptr);
+  EXPECT_STREQ(guard.refusal(moved(flying(0.3), 100e3)), "jump");
 }
 
 TEST(NavGuard, RefusesWhatNoAircraftIs) {

@@ -1,12 +1,10 @@
 // The same short flight through five processes over UDP multicast, in real time (instrumented: slower).
 #include <filesystem>
 #include <fstream>
-#include <iostream>
 #include <map>
 #include <set>
 #include <thread>
 
-#include <fmt/format.h>
 #include <gtest/gtest.h>
 
 #include "common/bus/channels.h"
@@ -100,23 +98,16 @@ TEST_F(LiveFlight, FiveProcessesReachTheReplaysAccuracyAndStopInOrder) {
       bus, [&] { return !player.running(); }, test::flown(100s)));
   handle_until(
       bus, [&] { return !fixes.messages.empty() && fixes.messages.back().utime >= recorded.rbegin()->first; }, 5s);
-  // A busy machine gives up keyframes, and others than it did while it was recorded: what both have must agree.
-  size_t valid = 0, common = 0, same = 0;
+  size_t played = 0, same = 0;
   for (const map_fix_t& fix : fixes.messages) {
     if (!fix.valid) continue;
-    ++valid;
+    ++played;
     const auto it = recorded.find(fix.utime);
     if (it == recorded.end()) continue;
-    ++common;
     const EnuFrame frame({it->second.latitude_deg, it->second.longitude_deg, it->second.ellipsoidal_height});
     if (frame.to_enu({fix.latitude_deg, fix.longitude_deg, fix.ellipsoidal_height}).norm() < 1) ++same;
   }
-  const std::string figures =
-      fmt::format("{} recorded, {} played, {} of both, {} the same", recorded.size(), valid, common, same);
-  EXPECT_GE(static_cast<double>(valid), 0.5 * static_cast<double>(recorded.size())) << figures;
-  EXPECT_GE(common, 10u) << figures;
-  std::cout << figures << "\n";
-  EXPECT_GE(static_cast<double>(same), 0.8 * static_cast<double>(common)) << figures;
+  EXPECT_GE(static_cast<double>(same), 0.8 * static_cast<double>(recorded.size())) << played << " fixes";
 }
 
 TEST_F(LiveFlight, AnyServiceKilledIsNavigatingAgainWithinFiveSecondsAndTheOthersStay) {

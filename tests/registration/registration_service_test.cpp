@@ -447,6 +447,7 @@ TEST_F(RegistrationOnTheBus, AFloodOfAbsurdMessagesCostsNoFixAfterIt) {
   ASSERT_NE(found, fixes_.messages.end());
   expect_fix(*found);
   EXPECT_GT(node_.health().counter("map.rejected"), 0);
+  EXPECT_GT(node_.health().counter("rejected.nav.implausible"), 0);
 }
 
 TEST_F(RegistrationOnTheBus, AMapOfNoUseDoesNotDisplaceTheOneInUse) {

@@ -1,5 +1,6 @@
 #include "services/vio/missed_images.h"
 
+#include <limits>
 #include <random>
 
 #include <gtest/gtest.h>
@@ -70,6 +71,10 @@ TEST(MissedImages, AStoppedCameraAndATimeThatGoesBackAreNoLoss) {
   EXPECT_EQ(images.add(utime += kPeriod), 0);
   EXPECT_EQ(images.add(utime -= 3'600'000'000), 0);
   EXPECT_EQ(images.add(utime += kPeriod), 0);
+  for (const int64_t forged : {std::numeric_limits<int64_t>::min(), std::numeric_limits<int64_t>::max()}) {
+    EXPECT_EQ(images.add(forged), 0);
+    EXPECT_EQ(images.add(utime += kPeriod), 0);
+  }
 }
 
 }  // namespace
