@@ -34,6 +34,7 @@ using Clock = std::chrono::steady_clock;
 constexpr int64_t kRejectDegradesFor = 5'000'000;          // microseconds
 constexpr auto kStopPoll = std::chrono::milliseconds(50);  // how soon run() sees a signal
 constexpr double kTolerableSkew = 0.1;                     // s
+constexpr auto kTwinIsThere = std::chrono::seconds(3);     // after its last heartbeat
 constexpr int64_t kLargestTimerLag = 10'000'000;           // microseconds of replayed time that timers catch up on
 
 std::atomic<bool> g_signalled{false};
@@ -143,6 +144,8 @@ struct Node::Impl {
   Health::State published_state = Health::State::kStarting;
   std::string buffer_message;
   std::string skew_message;
+  std::string twin_message;
+  Clock::time_point twin_heard;
   ProcessUsage usage;
   ClockSkew skew;
   Supervisor supervisor;
@@ -214,6 +217,7 @@ struct Node::Impl {
   }
 
   void measure(int64_t time);
+  void hear(const health_t& heartbeat, int64_t time);
 
   void report_drops() {
     for (const auto& subscription : subscriptions) {
@@ -302,9 +306,7 @@ Node::Node(const NodeOptions& options) : impl_(std::make_unique<Impl>()) {
       spdlog::warn("{}: {}", options.service, impl_->buffer_message);
     }
   }
-  subscribe<health_t>(channel::kHealth, Delivery::kAll, [this](const health_t& m) {
-    if (m.host != host_name()) impl_->skew.add(m.host, m.utime, now());
-  });
+  subscribe<health_t>(channel::kHealth, Delivery::kAll, [this](const health_t& m) { impl_->hear(m, now()); });
   every(std::chrono::seconds(1), [this] { publish_health(); });
 }
 
@@ -420,6 +422,17 @@ int Node::run() {
   return 0;
 }
 
+void Node::Impl::hear(const health_t& heartbeat, int64_t time) {
+  const std::string host = host_name();
+  if (heartbeat.host != host) skew.add(heartbeat.host, heartbeat.utime, time);
+  if (heartbeat.service != options.service || (heartbeat.host == host && heartbeat.pid == getpid())) return;
+  const auto speaks = [](const health_counter_t& counter) { return counter.name.starts_with("published."); };
+  if (std::none_of(heartbeat.counters.begin(), heartbeat.counters.end(), speaks)) return;
+  twin_message = fmt::format("another {} is on the bus, process {} on {}, and its messages mix with these: stop one",
+                             options.service, heartbeat.pid, heartbeat.host);
+  twin_heard = Clock::now();
+}
+
 // What only a live node has: load, waiting times, other boards' clocks.
 void Node::Impl::measure(int64_t time) {
   health.set("cpu.percent", usage.cpu_percent());
@@ -428,6 +441,7 @@ void Node::Impl::measure(int64_t time) {
     health.set("latency_ms." + subscription->channel, subscription->slowest_ms);
     subscription->slowest_ms = 0;
   }
+  if (Clock::now() - twin_heard > kTwinIsThere) twin_message.clear();
   skew_message.clear();
   std::erase_if(health.counters_, [](const auto& counter) { return counter.first.starts_with("clock.skew_ms."); });
   for (const auto& [host, skew_s] : skew.skews(time)) {
@@ -462,12 +476,11 @@ void Node::publish_health() {
   } else if (state == Health::State::kStarting && time < health.reject_until_) {
     // What is refused may well be what it waits for.
     message.message += (message.message.empty() ? "" : "; ") + health.reject_message_;
-  } else if (state == Health::State::kOk && !impl_->buffer_message.empty()) {
+  }
+  for (const std::string& warning : {impl_->twin_message, impl_->buffer_message, impl_->skew_message}) {
+    if (state != Health::State::kOk || warning.empty()) continue;
     state = Health::State::kDegraded;
-    message.message = impl_->buffer_message;
-  } else if (state == Health::State::kOk && !impl_->skew_message.empty()) {
-    state = Health::State::kDegraded;
-    message.message = impl_->skew_message;
+    message.message = warning;
   }
   message.state = static_cast<int8_t>(state);
   message.uptime = static_cast<double>(time - impl_->start) * 1e-6;

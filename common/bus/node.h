@@ -10,7 +10,8 @@
 //
 // A message whose utime is more than 30 s from those before it on its channel is refused (time_guard.h). Undecodable
 // messages, these, messages lost by a full queue and handlers that throw are counted and shown in the
-// heartbeat (health_t on channel HEALTH, once a second); they never end the process.
+// heartbeat (health_t on channel HEALTH, once a second); they never end the process. So is another process that calls
+// itself by the same service's name and publishes.
 #pragma once
 
 #include <chrono>

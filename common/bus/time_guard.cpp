@@ -11,6 +11,7 @@ constexpr int kAgreeing = 3;
 }  // namespace
 
 bool TimeGuard::accept(int64_t utime) {
+  if (!is_stamp(utime)) return false;
   if (newest_ != 0 && of_another_time(utime, newest_)) {
     if (refused_in_a_row_ == 0 || of_another_time(utime, refused_)) {
       refused_in_a_row_ = 0;

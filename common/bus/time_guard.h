@@ -1,9 +1,10 @@
 // Keeps a message from tomorrow off a subscriber: one forged or broken stamp would make every true one look old.
 //
-// A stream's time moves on by seconds, so a stamp more than 30 s from the newest accepted one is refused. Stamps that
-// agree with each other are taken over as the stream's new time (another flight, a clock set right) when there are
-// three in a row and they span `proof`, with none of the accepted time between them: a stream that is alive cannot be
-// displaced by a flood. Not for channels with several publishers whose clocks differ.
+// A time before 1970 or after 2255 is none. A stream's time moves on by seconds, so a stamp more than 30 s from the
+// newest accepted one is refused. Stamps that agree with each other are taken over as the stream's new time (another
+// flight, a clock set right) when there are three in a row and they span `proof`, with none of the accepted time
+// between them: a stream that is alive cannot be displaced by a flood. Not for channels with several publishers whose
+// clocks differ.
 #pragma once
 
 #include <cstdint>

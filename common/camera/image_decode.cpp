@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cstdint>
+#include <optional>
 #include <vector>
 
 #include <fmt/format.h>
@@ -24,6 +25,25 @@ bool has_jpeg_markers(const std::vector<uint8_t>& data, size_t size) {
     if (data[i] == 0xFF && data[i + 1] == 0xD9) return true;
   }
   return false;
+}
+
+// As the frame header says (ITU-T T.81, B.2.2), read before a decoder takes memory for it: 65535 x 65535 pixels fit
+// into twenty bytes.
+std::optional<cv::Size> jpeg_size(const std::vector<uint8_t>& data, size_t size) {
+  const auto word = [&](size_t at) { return data[at] << 8 | data[at + 1]; };
+  for (size_t at = 2; at + 9 <= size && data[at] == 0xFF;) {
+    const uint8_t marker = data[at + 1];
+    if (marker == 0xFF) {  // fill
+      ++at;
+      continue;
+    }
+    const bool has_length = marker >= 0xC0 && (marker < 0xD0 || marker > 0xD9);
+    if (!has_length) return std::nullopt;
+    const bool tables = marker == 0xC4 || marker == 0xC8 || marker == 0xCC;
+    if (marker <= 0xCF && !tables) return cv::Size(word(at + 7), word(at + 5));
+    at += 2 + static_cast<size_t>(word(at + 2));
+  }
+  return std::nullopt;
 }
 
 }  // namespace
@@ -57,17 +77,21 @@ DecodedImage decode_image(const image_t& image, int width, int height) {
   if (image.pixelformat == image_t::PIXEL_FORMAT_MJPEG) {
     const auto size = static_cast<size_t>(image.size);
     if (!has_jpeg_markers(image.data, size)) return refuse("JPEG is truncated or no JPEG");
+    const auto coded = jpeg_size(image.data, size);
+    if (!coded) return refuse("JPEG has no frame header");
+    if (*coded != cv::Size(image.width, image.height)) {
+      return refuse(
+          fmt::format("JPEG is {}x{}, the message says {}x{}", coded->width, coded->height, image.width, image.height));
+    }
+    // The pixels as they lie on the sensor, whichever way up a tag would have them: so they were calibrated.
+    constexpr int kFlags = cv::IMREAD_GRAYSCALE | cv::IMREAD_IGNORE_ORIENTATION;
     const cv::Mat buffer(1, image.size, CV_8UC1, const_cast<uint8_t*>(image.data.data()));  // only read
     try {
-      result.grey = cv::imdecode(buffer, cv::IMREAD_GRAYSCALE);
+      result.grey = cv::imdecode(buffer, kFlags);
     } catch (const cv::Exception& error) {
       return refuse(fmt::format("JPEG does not decode: {}", error.err));
     }
-    if (result.grey.empty()) return refuse("JPEG does not decode");
-    if (result.grey.cols != image.width || result.grey.rows != image.height) {
-      return refuse(fmt::format("JPEG is {}x{}, the message says {}x{}", result.grey.cols, result.grey.rows,
-                                image.width, image.height));
-    }
+    if (result.grey.size() != *coded) return refuse("JPEG does not decode");
     return result;
   }
   return refuse(fmt::format("pixel format {:#x} is not supported", image.pixelformat));

@@ -20,8 +20,9 @@ struct DecodedImage {
 };
 
 // Decodes `image` (GRAY or MJPEG). Refused: sizes that are not positive, other pixel formats, a buffer shorter than
-// its rows need, a JPEG that is truncated (no end marker), corrupt or of another size than the message says, and,
-// where `width` and `height` (pixels) are positive, any other size than theirs, because a calibration holds for one.
+// its rows need, a JPEG that is truncated (no end marker), corrupt or of another size than the message says (before
+// memory is taken for it), and, where `width` and `height` (pixels) are positive, any other size than theirs, because a
+// calibration holds for one.
 DecodedImage decode_image(const image_t& image, int width = 0, int height = 0);
 
 }  // namespace orthonav

@@ -140,11 +140,13 @@ std::optional<Memory> Fusion::memory() const {
 bool Fusion::resume(const Memory& memory) {
   const Keyframe& keyframe = memory.keyframe;
   const Estimate& estimate = memory.estimate;
-  const bool counts = memory.believed >= 0 && memory.reset_counter >= 0 && keyframe.id >= 0 && keyframe.session > 0;
+  const bool counts =
+      is_count(memory.believed) && is_count(memory.reset_counter) && is_count(keyframe.id) && keyframe.session > 0;
+  const bool times = is_stamp(keyframe.utime) && is_stamp(memory.session_utime) && is_stamp(memory.newest_fix_utime);
   const bool numbers = is_pose(keyframe.p_W_B, keyframe.q_W_B) && is_place(memory.anchor) &&
                        estimate.state.x.allFinite() && estimate.state.p().norm() < kFarthest &&
                        std::abs(estimate.state.log_scale()) < 1.0 && estimate.covariance.allFinite();
-  if (!counts || !numbers || estimate.covariance.llt().info() != Eigen::Success) return false;
+  if (!counts || !times || !numbers || estimate.covariance.llt().info() != Eigen::Success) return false;
   memory_ = memory;
   return true;
 }

@@ -22,6 +22,10 @@ inline double seconds_between(int64_t from, int64_t to) {
   return 1e-6 * static_cast<double>(to - from);
 }
 
+inline bool is_count(int number) {
+  return number >= 0 && number < 1'000'000'000;  // one more still fits
+}
+
 inline bool is_pose(const Eigen::Vector3d& p, const Eigen::Quaterniond& q) {
   return p.allFinite() && p.norm() < kFarthest && q.coeffs().allFinite() && std::abs(q.norm() - 1.0) < 1e-3;
 }

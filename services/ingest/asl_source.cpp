@@ -31,9 +31,21 @@ std::vector<double> numbers_of(const std::string& row) {
   return numbers;
 }
 
+// Empty when there is no such file, or when it is a folder or a device.
 std::vector<uint8_t> read_bytes(const std::filesystem::path& file) {
+  std::error_code error;
+  if (!std::filesystem::is_regular_file(file, error)) return {};
   std::ifstream stream(file, std::ios::binary);
   return {std::istreambuf_iterator<char>(stream), std::istreambuf_iterator<char>()};
+}
+
+cv::Mat decode(const std::vector<uint8_t>& bytes) {
+  if (bytes.empty()) return {};
+  try {
+    return cv::imdecode(bytes, cv::IMREAD_GRAYSCALE | cv::IMREAD_IGNORE_ORIENTATION);
+  } catch (const cv::Exception&) {
+    return {};  // a header of a size that OpenCV refuses
+  }
 }
 
 bool is_jpeg(const std::vector<uint8_t>& bytes) {
@@ -58,7 +70,7 @@ void AslSource::Table::advance() {
     if (row.empty() || row[0] == '#') continue;
     const auto [end, error] = std::from_chars(row.data(), row.data() + row.size(), time_ns);
     // A row without a time is reported by whoever reads it: it takes the place of the next one.
-    if (error != std::errc()) time_ns = 0;
+    if (error != std::errc() || time_ns < 0) time_ns = 0;
     return;
   }
 }
@@ -110,12 +122,13 @@ SensorEvent AslSource::read_imu() {
 
 SensorEvent AslSource::read_image() {
   const size_t comma = camera_.row.find(',');
-  if (comma == std::string::npos) return {std::nullopt, "expected a time and a file name"};
-  const auto file = images_ / camera_.row.substr(camera_.row.find_first_not_of(' ', comma + 1));
+  const size_t name = comma == std::string::npos ? comma : camera_.row.find_first_not_of(' ', comma + 1);
+  if (name == std::string::npos) return {std::nullopt, "expected a time and a file name"};
+  const auto file = images_ / camera_.row.substr(name);
   image_t image;
   image.utime = camera_.time_ns / 1000;
   image.data = read_bytes(file);
-  const cv::Mat grey = image.data.empty() ? cv::Mat() : cv::imdecode(image.data, cv::IMREAD_GRAYSCALE);
+  const cv::Mat grey = decode(image.data);
   if (grey.empty()) return {std::nullopt, file.string() + " is missing or is no image"};
   image.width = grey.cols;
   image.height = grey.rows;

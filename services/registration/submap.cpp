@@ -265,7 +265,7 @@ void SubmapRegistrar::search(const std::optional<PositionPrior>& prior) {
   if (prior && prior->en.allFinite() && std::isfinite(prior->stddev)) {
     expected_ = prior->en;
     expected_radius_ = std::max(options_.min_radius, options_.bound_stddevs * prior->stddev);
-    const double radius = expected_radius_ * std::pow(options_.widening, std::min(without_fix_, 50));
+    const double radius = expected_radius_ * std::pow(options_.widening, std::min(widened_, 50));
     if (radius < 0.5 * size.norm()) radius_ = radius;
   }
   const std::vector<double> turns = this->turns();
@@ -363,6 +363,7 @@ void SubmapRegistrar::compare_at_full_resolution(const std::vector<PlaceCandidat
 // for 220 s.
 void SubmapRegistrar::miss() {
   constexpr int kDoubted = 8;  // keyframes
+  ++widened_;
   if (++without_fix_ < kDoubted || num_fixes_ >= kTaught || !fitted_yaw_) return;
   fitted_yaw_.reset();
   fitted_scale_.reset();
@@ -370,6 +371,10 @@ void SubmapRegistrar::miss() {
 
 void SubmapRegistrar::learn_from(const FittedPose& pose, size_t variant) {
   without_fix_ = 0;
+  // Found elsewhere, it is looked for as far off until the expectation follows: nearer to a wrong one there are but
+  // wrong places.
+  const bool elsewhere = expected_radius_ > 0 && (pose.p_G_B.head<2>() - expected_).norm() > expected_radius_;
+  if (!elsewhere) widened_ = 0;
   ++num_fixes_;
   fitted_yaw_ = fitted_yaw_ ? *fitted_yaw_ + kFittedShare * wrap_angle(pose.yaw - *fitted_yaw_) : pose.yaw;
   fitted_scale_ = fitted_scale_ ? *fitted_scale_ + kFittedShare * (pose.scale - *fitted_scale_) : pose.scale;

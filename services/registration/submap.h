@@ -186,6 +186,7 @@ class SubmapRegistrar {
   GroundLevel ground_;   // of the session's fixes
   HeldPlace held_;       // of the session's keyframes that were searched for widely
   int without_fix_ = 0;  // keyframes since the last fix
+  int widened_ = 0;      // those since the last fix where the aircraft was expected
   int num_fixes_ = 0;    // of the session
 
   std::string refused_;

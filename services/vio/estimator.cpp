@@ -5,6 +5,7 @@
 #include <limits>
 
 #include "common/math/so3.h"
+#include "common/math/stamps.h"
 #include "common/math/statistics.h"
 
 namespace orthonav::vio {
@@ -65,6 +66,7 @@ void Estimator::reset() {
 
 bool Estimator::resume(const Memory& memory) {
   constexpr double kHighest = 1e5, kFastest = 100;  // m, m/s
+  if (!is_stamp(memory.utime)) return false;
   if (!(memory.height > 0 && memory.height < kHighest && memory.height_stddev >= 0 && memory.height_stddev < kHighest &&
         std::abs(memory.climb) < kFastest && memory.gyro_bias.norm() < options_.max_gyro_bias &&
         std::abs(memory.time_offset - options_.time_offset) <= options_.max_time_offset)) {

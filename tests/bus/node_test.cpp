@@ -1,5 +1,6 @@
 #include "common/bus/node.h"
 
+#include <algorithm>
 #include <semaphore>
 #include <thread>
 
@@ -251,6 +252,41 @@ TEST_F(LiveNode, AClampedReceiveBufferIsSaidInTheHealthWithTheRemedy) {
   ASSERT_TRUE(handle_until(bus_, [&] { return !heartbeats.messages.empty(); }));
   EXPECT_EQ(heartbeats.messages.back().state, +health_t::DEGRADED);
   EXPECT_THAT(heartbeats.messages.back().message, testing::HasSubstr("net.core.rmem_max"));
+}
+
+TEST_F(LiveNode, AnotherProcessOfTheSameNameThatPublishesIsSaidInTheHealth) {
+  node_ = std::make_unique<Node>(NodeOptions{.service = "live", .receive_buffer = 1 << 16});
+  node_->health().set_state(Health::State::kOk);
+  Collector<health_t> heartbeats(bus_, channel::kHealth);
+  start();
+  health_t twin{};
+  twin.service = "live";
+  twin.host = "elsewhere";
+  twin.pid = 7;
+  twin.utime = node_->now();
+  const auto says_so = [&](size_t after) {
+    return std::any_of(heartbeats.messages.begin() + static_cast<std::ptrdiff_t>(after), heartbeats.messages.end(),
+                       [](const health_t& m) {
+                         return m.host != "elsewhere" && m.state == +health_t::DEGRADED &&
+                                m.message.find("process 7 on elsewhere") != std::string::npos;
+                       });
+  };
+  // One that only listens is no harm. Two heartbeats later it has been heard.
+  bus_.publish(channel::kHealth, &twin);
+  ASSERT_TRUE(handle_until(bus_, [&] { return heartbeats.messages.size() >= 4; }));
+  EXPECT_FALSE(says_so(0));
+  health_counter_t published;
+  published.name = "published.ECHO";
+  twin.counters = {published};
+  twin.num_counters = 1;
+  const size_t before = heartbeats.messages.size();
+  twin.utime = node_->now();
+  bus_.publish(channel::kHealth, &twin);
+  EXPECT_TRUE(handle_until(bus_, [&] { return says_so(before); }));
+  const auto is_well = [&] {
+    return heartbeats.messages.back().host != "elsewhere" && heartbeats.messages.back().state == +health_t::OK;
+  };
+  EXPECT_TRUE(handle_until(bus_, is_well)) << "it is gone";
 }
 
 TEST(Node, ABusThatCannotBeJoinedIsAnErrorWithItsUrl) {

@@ -135,6 +135,14 @@ TEST(TimeGuard, AStampFromTomorrowIsRefusedAndTheTrueOnesGoOn) {
   }
 }
 
+TEST(TimeGuard, ATimeOfNoClockDoesNotBeginAStream) {
+  TimeGuard guard;
+  for (const int64_t none : {INT64_MIN, int64_t{-1}, INT64_MAX, (int64_t{1} << 53) + 1}) {
+    for (int repeated = 0; repeated < 5; ++repeated) EXPECT_FALSE(guard.accept(none));
+  }
+  EXPECT_TRUE(guard.accept(1'000'000'000)) << "the first true one is taken at once";
+}
+
 TEST(TimeGuard, ANewFlightIsTakenOverWhenItHasLastedTwoSeconds) {
   TimeGuard guard;
   EXPECT_TRUE(guard.accept(1'000'000'000));

@@ -13,6 +13,7 @@
 #include <set>
 #include <string>
 #include <thread>
+#include <utility>
 #include <vector>
 
 #include <CLI/CLI.hpp>
@@ -42,6 +43,7 @@ constexpr double kBigLoss = 1e9;
 struct Arguments {
   std::filesystem::path config, log, map;
   std::filesystem::path twice;       // the same flight with twice the images, or none
+  std::filesystem::path other;       // another flight at the same time, or none
   std::filesystem::path small_disk;  // a folder on a file system that a recording of the flight fills, or none
   std::filesystem::path raster;      // what `map` was built from, or none
   std::filesystem::path faketime;    // libfaketime, or none
@@ -81,7 +83,7 @@ class Flight {
     killed_.insert(service);
     if (service == "ingest")
       running_.at(service).arguments = {test::program("orthonav-ingest"), "--config", arguments_.config, "--log",
-                                        rest()};
+                                        excerpt(log_, arguments_.length, true)};
     running_.at(service).process->signal(SIGKILL);
   }
   void give(const std::string& service, const std::string& option, const std::string& value) {
@@ -89,7 +91,12 @@ class Flight {
     *std::next(std::find(arguments.begin(), arguments.end(), option)) = value;
   }
   void signal(const std::string& service, int number) { running_.at(service).process->signal(number); }
-  void start_second_ingest() { start("ingest", {"--log", log_}, "second ingest"); }
+  void start_second_ingest(const std::filesystem::path& log) { start("ingest", {"--log", log}, "second ingest"); }
+  // The sensors of a flight beside this one's, for so long. Their time is the present, half a second ahead: theirs are
+  // taken, this flight's come late.
+  void start_second_ingest(const std::filesystem::path& log, double seconds) {
+    start_second_ingest(excerpt(log, seconds, false));
+  }
   void start_logger(const std::filesystem::path& out) {
     running_["logger"].arguments = {"/usr/bin/lcm-logger", "--force", out};
     running_["logger"].process = launch("logger");
@@ -189,14 +196,18 @@ class Flight {
     return std::make_unique<ChildProcess>(running_.at(name).arguments, folder_ / (name + ".txt"));
   }
 
-  // The flight from 0.7 s after now on, as a log.
-  std::filesystem::path rest() const {
-    auto file = folder_ / "rest.lcm";
-    LogReader reader(log_);
+  // A flight from 0.7 s after now on (a service takes 0.2 s to start, or 0.5 s more to be started again), for so long,
+  // as a log: with its truth, or without.
+  std::filesystem::path excerpt(const std::filesystem::path& log, double seconds, bool with_truth) const {
+    auto file = folder_ / "excerpt.lcm";
+    LogReader reader(log);
     LogWriter writer(file);
     const int64_t from = (truth_.messages.empty() ? 0 : truth_.messages.back().utime) + 700'000;
+    const int64_t until = from + std::llround(1e6 * seconds);
     while (const auto event = reader.next()) {
-      if (event->utime >= from) writer.write(event->utime, event->channel, event->data.data(), event->data.size());
+      if (event->utime < from || event->utime > until) continue;
+      if (!with_truth && event->channel == channel::kTruth) continue;
+      writer.write(event->utime, event->channel, event->data.data(), event->data.size());
     }
     return file;
   }
@@ -284,10 +295,14 @@ std::vector<Fault> all_faults(const Arguments& arguments, const std::filesystem:
   for (const char* service : {"ingest", "vio", "map_server", "registration", "fusion"}) {
     faults.push_back({fmt::format("kill -9 {}", service), [service](Flight& f) { f.kill(service); }});
   }
-  faults.push_back({"kill -9 vio and fusion", [](Flight& f) {
-                      f.kill("vio");
-                      f.kill("fusion");
-                    }});
+  // Two that share a board of deploy/boards/three.yaml, and the two that remember where the aircraft is.
+  for (const auto& [one, other] : std::vector<std::pair<const char*, const char*>>{
+           {"ingest", "vio"}, {"registration", "fusion"}, {"vio", "fusion"}}) {
+    faults.push_back({fmt::format("kill -9 {} and {}", one, other), [one = one, other = other](Flight& f) {
+                        f.kill(one);
+                        f.kill(other);
+                      }});
+  }
   for (const char* service : {"vio", "map_server", "registration", "fusion"}) {
     faults.push_back({fmt::format("SIGSTOP {} for 5 s", service), [service](Flight& f) {
                         f.signal(service, SIGSTOP);
@@ -295,7 +310,14 @@ std::vector<Fault> all_faults(const Arguments& arguments, const std::filesystem:
                         f.signal(service, SIGCONT);
                       }});
   }
-  faults.push_back({"second ingest on the bus", [](Flight& f) { f.start_second_ingest(); }});
+  faults.push_back(
+      {"second ingest, from the flight's start", [&arguments](Flight& f) { f.start_second_ingest(arguments.log); }});
+  faults.push_back({"second ingest, the same sensors for 10 s",
+                    [&arguments](Flight& f) { f.start_second_ingest(arguments.log, 10); }});
+  if (!arguments.other.empty()) {
+    faults.push_back({"second ingest, another aircraft's sensors for 10 s",
+                      [&arguments](Flight& f) { f.start_second_ingest(arguments.other, 10); }});
+  }
   faults.push_back({fmt::format("{} garbage messages", arguments.garbage), [&arguments](Flight& f) {
                       std::mt19937_64 random(1);
                       flood(f, arguments, arguments.garbage, [&] { publish_garbage(f.bus(), random); });
@@ -385,6 +407,7 @@ int main(int argc, char** argv) {
   app.add_option("--log", arguments.log)->required()->check(CLI::ExistingFile);
   app.add_option("--map", arguments.map)->required()->check(CLI::ExistingFile);
   app.add_option("--twice", arguments.twice, "the flight with twice the images")->check(CLI::ExistingFile);
+  app.add_option("--other", arguments.other, "another flight at the same time")->check(CLI::ExistingFile);
   app.add_option("--small-disk", arguments.small_disk, "folder that a recording fills")->check(CLI::ExistingDirectory);
   app.add_option("--raster", arguments.raster, "what the map was built from")->check(CLI::ExistingFile);
   app.add_option("--faketime", arguments.faketime, "libfaketime.so.1")->check(CLI::ExistingFile);

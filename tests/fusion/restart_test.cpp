@@ -1,5 +1,7 @@
 // What a fusion that was killed in flight still knows when it is there again.
 #include <algorithm>
+#include <climits>
+#include <cstdint>
 #include <fstream>
 #include <functional>
 
@@ -170,6 +172,11 @@ TEST_F(KilledFusion, AMemoryOfImpossibleNumbersIsForgotten) {
   refused([](Memory& m) { m.estimate.covariance *= -1.0; });
   refused([](Memory& m) { m.anchor.latitude_deg = 200.0; });
   refused([](Memory& m) { m.reset_counter = -1; });
+  refused([](Memory& m) { m.reset_counter = INT_MAX; });
+  refused([](Memory& m) { m.keyframe.id = INT_MAX; });
+  refused([](Memory& m) { m.keyframe.utime = INT64_MIN; });
+  refused([](Memory& m) { m.session_utime = INT64_MAX; });
+  refused([](Memory& m) { m.newest_fix_utime = -1; });
 }
 
 TEST_F(KilledFusion, AFileThatIsCutOrAlteredIsNoMemory) {

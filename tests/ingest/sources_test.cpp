@@ -77,6 +77,22 @@ TEST_F(AslFolder, BadRowsAndMissingImagesAreNamedWithFileAndLine) {
   EXPECT_THAT(errors, HasSubstr("gone.png"));
 }
 
+TEST_F(AslFolder, ImagesWithoutANameOrThatAreNoFilesAreNamedAndTheRestIsRead) {
+  fs::create_directory(root_ / "mav0/cam0/data/folder.png");
+  write("cam0/data.csv", "#h\n1000000,\n2000000,   \n3000000,folder.png\n4000000,.\n-5,a.png\n6000000,a.png\n");
+  AslSource source(root_);
+  std::string errors;
+  int images = 0;
+  for (const auto& event : all(source)) {
+    errors += event.error + "\n";
+    if (event.message) images += std::holds_alternative<image_t>(*event.message) ? 1 : 0;
+  }
+  for (const char* line : {":2:", ":3:", ":4:", ":5:"}) {
+    EXPECT_THAT(errors, HasSubstr(std::string("cam0/data.csv") + line));
+  }
+  EXPECT_EQ(images, 2) << "that of a negative time, which the validator refuses, and the last";
+}
+
 TEST_F(AslFolder, AFolderWithoutSensorsIsAnErrorWithTheMissingFile) {
   fs::remove(root_ / "mav0/imu0/data.csv");
   try {

@@ -490,16 +490,27 @@ TEST_F(SubmapTest, SearchesAroundTheExpectedPlaceAndWidensWhenItIsNotThere) {
   // The expectation goes astray. Never a fix there, and then one where the aircraft is.
   SubmapRegistrar lost({}, test_camera());
   lost.set_map(features(), kMap);
+  const PositionPrior astray{{55, -120}, 2};
+  Fix found;
   int tries = 0;
   for (; tries < 10; ++tries) {
-    const Fix fix = add(lost, capture, capture.heading, PositionPrior{{55, -120}, 2});
-    if (!fix.valid) continue;
-    EXPECT_LT((fix.p_G_B - capture.p_G_B).head<2>().norm(), 0.5);
-    EXPECT_GT(fix.search_radius, 15);
+    found = add(lost, capture, capture.heading, astray);
+    if (!found.valid) continue;
+    EXPECT_LT((found.p_G_B - capture.p_G_B).head<2>().norm(), 0.5);
+    EXPECT_GT(found.search_radius, 15);
     break;
   }
   EXPECT_GT(tries, 0);
-  EXPECT_LT(tries, 10);
+  ASSERT_LT(tries, 10);
+  // The search stays as wide until the expectation has come to what was found.
+  for (int again = 0; again < 3; ++again) {
+    const Fix fix = add(lost, capture, capture.heading, astray);
+    EXPECT_TRUE(fix.valid) << fix.reason;
+    EXPECT_EQ(fix.search_radius, found.search_radius);
+    EXPECT_LT((fix.p_G_B - capture.p_G_B).head<2>().norm(), 0.5);
+  }
+  EXPECT_TRUE(add(lost, capture, capture.heading, PositionPrior{{97, -77}, 2}).valid);
+  EXPECT_EQ(add(lost, capture, capture.heading, PositionPrior{{97, -77}, 2}).search_radius, 15);
 }
 
 TEST_F(SubmapTest, WhatLiesInTheWidenedPartOfASearchIsNotExpected) {

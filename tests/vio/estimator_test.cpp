@@ -239,6 +239,9 @@ TEST(Estimator, DoubtsTheMemoryOfASessionThatFailedAndOfImpossibleNumbers) {
   memory.height = 100;
   memory.gyro_bias.x() = 3;
   EXPECT_FALSE(estimator.resume(memory));
+  memory.gyro_bias.x() = 0;
+  memory.utime = INT64_MIN;
+  EXPECT_FALSE(estimator.resume(memory));
 }
 
 TEST(Estimator, LosingSightEndsTheSessionWithAReason) {

@@ -1,5 +1,7 @@
 #include "services/vio/vio_service.h"
 
+#include <algorithm>
+#include <array>
 #include <cmath>
 #include <filesystem>
 #include <fstream>
@@ -97,6 +99,37 @@ TEST(DecodeImage, RefusesWhatIsDamaged) {
     EXPECT_TRUE(decoded.grey.empty() || !decoded.ok());
   }
   EXPECT_NE(decode_image(grey_message(0, some_picture()), 752, 480).error.find("752x480"), std::string::npos);
+}
+
+// Twenty bytes can announce an image of a gigabyte.
+TEST(DecodeImage, RefusesAJpegOfAnotherSizeByItsHeader) {
+  image_t message = jpeg_message(0, some_picture());
+  const std::array<uint8_t, 2> frame{0xFF, 0xC0};
+  const auto at = std::search(message.data.begin(), message.data.end(), frame.begin(), frame.end());
+  ASSERT_NE(at, message.data.end());
+  std::fill_n(at + 5, 4, uint8_t{0x7F});
+  const DecodedImage decoded = decode_image(message, 640, 480);
+  EXPECT_NE(decoded.error.find("32639x32639"), std::string::npos) << decoded.error;
+}
+
+TEST(DecodeImage, ReadsProgressiveJpegs) {
+  image_t message = jpeg_message(0, some_picture());
+  cv::imencode(".jpg", some_picture(), message.data, {cv::IMWRITE_JPEG_PROGRESSIVE, 1});
+  message.size = static_cast<int32_t>(message.data.size());
+  EXPECT_TRUE(decode_image(message, 640, 480).ok()) << decode_image(message).error;
+}
+
+TEST(DecodeImage, LeavesPixelsWhereTheyLieWhateverTheOrientationTagSays) {
+  image_t message = jpeg_message(0, some_picture());
+  const cv::Mat plain = decode_image(message).grey;
+  // APP1 of 34 bytes: Exif, big endian, one entry: orientation 6, a quarter turn.
+  const std::array<uint8_t, 36> tag{0xFF, 0xE1, 0, 34, 'E', 'x', 'i', 'f', 0, 0, 'M', 'M', 0, 42, 0, 0, 0, 8,
+                                    0,    1,    1, 18, 0,   3,   0,   0,   0, 1, 0,   6,   0, 0,  0, 0, 0, 0};
+  message.data.insert(message.data.begin() + 2, tag.begin(), tag.end());
+  message.size = static_cast<int32_t>(message.data.size());
+  const DecodedImage tagged = decode_image(message, 640, 480);
+  ASSERT_TRUE(tagged.ok()) << tagged.error;
+  EXPECT_EQ(cv::norm(tagged.grey, plain, cv::NORM_INF), 0);
 }
 
 class VioServiceTest : public testing::Test {
