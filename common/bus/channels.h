@@ -12,6 +12,7 @@ inline constexpr const char* kGnssReference = "GNSS_REFERENCE";     // gnss_refe
 inline constexpr const char* kTruth = "TRUTH";                      // truth_t, evaluation only
 inline constexpr const char* kVioState = "VIO_STATE";               // vio_state_t
 inline constexpr const char* kVioKeyframe = "VIO_KEYFRAME";         // vio_keyframe_t
+inline constexpr const char* kKeyframeImage = "KEYFRAME_IMAGE";     // keyframe_image_t
 inline constexpr const char* kVioReset = "VIO_RESET";               // vio_reset_t
 inline constexpr const char* kMapInfo = "MAP_INFO";                 // map_info_t
 inline constexpr const char* kMapTileRequest = "MAP_TILE_REQUEST";  // map_tile_request_t

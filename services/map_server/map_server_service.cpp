@@ -7,6 +7,7 @@
 #include <spdlog/spdlog.h>
 
 #include "common/bus/channels.h"
+#include "common/bus/packet.h"
 #include "common/features/fixed_sift.h"
 #include "orthonav/map_info_t.hpp"
 #include "orthonav/map_tile_t.hpp"
@@ -15,9 +16,7 @@
 namespace orthonav::map_server {
 namespace {
 
-// LCM sends up to 1400 bytes, channel name included, as one UDP packet.
-constexpr int kPacketBytes = 1400;
-constexpr int kPacketOverhead = 80;
+constexpr int kPacketOverhead = 114;  // a part's other fields, the channel's name and a seal
 constexpr int kFeaturesPerPart = (kPacketBytes - kPacketOverhead) / (3 * static_cast<int>(sizeof(float)) + kSiftBytes);
 constexpr size_t kMaxRequests = 100'000;
 

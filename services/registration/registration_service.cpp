@@ -11,7 +11,6 @@
 
 #include "common/bus/channels.h"
 #include "common/camera/aircraft.h"
-#include "common/camera/image_decode.h"
 #include "common/math/so3.h"
 #include "common/math/stamps.h"
 #include "services/registration/keyframe_message.h"
@@ -22,8 +21,12 @@ namespace {
 
 constexpr double kLargestHeading = 13;  // rad, two turns: whatever range headings are given in
 constexpr double kRadian = M_PI / 180.0;
+// How long what is missing of a keyframe's image may still come, microseconds of data: it is sent again within 100 ms.
+constexpr int64_t kLongestWait = 500'000;
 // Keyframes without a compass sample after them, waiting: more mean that the compass has stopped.
 constexpr size_t kMaxPending = 16;
+// Raw images of which all parts may wait.
+constexpr size_t kImagesWaiting = 4;
 // Positions kept for keyframes to come, and how far from a keyframe's time one still says where it was, s.
 constexpr size_t kNavStates = 100;
 constexpr double kMaxNavAge = 5;
@@ -65,10 +68,15 @@ RegistrationService::RegistrationService(Node& node, const Setup& setup)
       uses_submap_(setup.options.registrar.method == Method::kSubmap),
       registrar_(setup.options.registrar, setup.camera),
       submap_(setup.options.submap, setup.camera),
+      keyframe_images_(setup.camera.width(), setup.camera.height()),
       headings_(static_cast<int64_t>(setup.options.max_compass_gap * 1e6)),
       map_client_(setup.options.map) {
   node_.subscribe<image_t>(
       channel::kCamera, Delivery::kLatest, [this](const image_t& image) { handle(image); }, 30);
+  const auto raw = static_cast<size_t>(camera_.width() * camera_.height() / keyframe_image_t::PART_BYTES + 1);
+  node_.subscribe<keyframe_image_t>(
+      channel::kKeyframeImage, Delivery::kLatest, [this](const keyframe_image_t& part) { handle(part); },
+      kImagesWaiting * raw);
   node_.subscribe<compass_t>(channel::kCompass, Delivery::kAll, [this](const compass_t& compass) { handle(compass); });
   // A fix is worth more fresh than complete: whoever is behind goes on with the newest keyframe, which comes twice.
   node_.subscribe<vio_keyframe_t>(
@@ -99,6 +107,18 @@ void RegistrationService::handle(const image_t& image) {
   images_.insert_or_assign(image.utime, image);
   while (static_cast<int>(images_.size()) > options_.image_buffer) images_.erase(images_.begin());
   process_pending();
+}
+
+void RegistrationService::handle(const keyframe_image_t& part) {
+  if (!keyframe_images_.add(part)) {
+    node_.health().reject(
+        "keyframe_image",
+        fmt::format("part {} of {} bytes, of an image of {} x {} pixels and {} bytes; the camera has {} x {}",
+                    part.part, part.num_bytes, part.width, part.height, part.size, camera_.width(), camera_.height()));
+    return;
+  }
+  see_time(part.utime);
+  if (keyframe_images_.has(part.utime)) process_pending();
 }
 
 void RegistrationService::handle(const compass_t& compass) {
@@ -276,38 +296,47 @@ void RegistrationService::process_pending() {
       pending_.pop_front();
       continue;
     }
-    const bool ready = headings_.covers(utime) || newest_data_ - utime > max_gap || pending_.size() > kMaxPending;
-    if (!ready) return;
+    const bool waited_enough = pending_.size() > kMaxPending;
+    if (!waited_enough && !headings_.covers(utime) && newest_data_ - utime <= max_gap) return;
+    const Stopwatch decoding(node_);
+    const DecodedImage image = image_of(utime);
+    if (!waited_enough && !image.ok() && newest_data_ - utime <= kLongestWait) return;
+    const double decoding_ms = decoding.ms();
     const vio_keyframe_t keyframe = std::move(pending_.front());
     pending_.pop_front();
-    if (has_map()) register_keyframe(keyframe);
+    if (has_map()) register_keyframe(keyframe, image, decoding_ms);
   }
 }
 
-void RegistrationService::register_keyframe(const vio_keyframe_t& message) {
+DecodedImage RegistrationService::image_of(int64_t keyframe) const {
+  std::vector<image_t> images = keyframe_images_.find(keyframe);
+  if (const auto whole = images_.find(keyframe); whole != images_.end()) images.insert(images.begin(), whole->second);
+  DecodedImage decoded;
+  decoded.error = fmt::format("no image of the keyframe's time: {}", keyframe_images_.describe(keyframe));
+  for (const image_t& image : images) {
+    decoded = decode_image(image, camera_.width(), camera_.height());
+    if (decoded.ok()) break;
+  }
+  return decoded;
+}
+
+void RegistrationService::register_keyframe(const vio_keyframe_t& message, const DecodedImage& image,
+                                            double decoding_ms) {
   const Stopwatch total(node_);
   map_fix_t out{};
   Fix fix;
   const std::optional<Heading> heading = headings_.at(message.utime);
-  const auto image = images_.find(message.utime);
   if (!heading) {
     fix.reason = fmt::format("no compass heading within {} s", options_.max_compass_gap);
     node_.health().reject("keyframe.no_heading", fix.reason);
-  } else if (image == images_.end()) {
-    fix.reason = "no image of the keyframe's time";
-    node_.health().reject("keyframe.no_image", fix.reason);
+  } else if (!image.ok()) {
+    fix.reason = image.error;
+    node_.health().reject("keyframe.no_image", "a keyframe without its image: " + image.error);
   } else {
-    const Stopwatch describing(node_);
-    const DecodedImage decoded = decode_image(image->second, camera_.width(), camera_.height());
-    if (!decoded.ok()) {
-      fix.reason = decoded.error;
-      node_.health().reject("camera", "image of a keyframe: " + decoded.error);
-    } else {
-      out.describe_ms = describing.ms();  // so far: decoding the image
-      fix = register_image(message, decoded.grey, *heading, out);
-    }
+    out.describe_ms = decoding_ms;
+    fix = register_image(message, image.grey, *heading, out);
   }
-  out.total_ms = total.ms();
+  out.total_ms = decoding_ms + total.ms();
   publish(message, fix, heading, out);
 }
 

@@ -1,5 +1,6 @@
 // Registration on the bus: fetches the map from the map server, keeps the images and compass headings of the last
-// seconds, registers every keyframe of the odometry and says where it is (MAP_FIX), or why it does not know.
+// seconds, registers every keyframe of the odometry and says where it is (MAP_FIX), or why it does not know. A
+// keyframe's image comes on CAMERA, and in parts with the keyframe, for where packets are lost.
 #pragma once
 
 #include <cmath>
@@ -9,13 +10,16 @@
 #include <optional>
 #include <string>
 
+#include "common/bus/image_parts.h"
 #include "common/bus/keyframe_repeats.h"
 #include "common/bus/nav_guard.h"
 #include "common/bus/node.h"
 #include "common/bus/service_main.h"
+#include "common/camera/image_decode.h"
 #include "common/geo/enu_frame.h"
 #include "orthonav/compass_t.hpp"
 #include "orthonav/image_t.hpp"
+#include "orthonav/keyframe_image_t.hpp"
 #include "orthonav/map_fix_t.hpp"
 #include "orthonav/map_info_t.hpp"
 #include "orthonav/map_tile_t.hpp"
@@ -53,6 +57,7 @@ class RegistrationService : public Service {
   RegistrationService(Node& node, const Setup& setup);
 
   void handle(const image_t& image);
+  void handle(const keyframe_image_t& part);
   void handle(const compass_t& compass);
   void handle(const map_info_t& info);
   void handle(const map_tile_t& tile);
@@ -64,7 +69,8 @@ class RegistrationService : public Service {
   void request_tiles();
   void take_map();
   void process_pending();
-  void register_keyframe(const vio_keyframe_t& keyframe);
+  DecodedImage image_of(int64_t keyframe) const;
+  void register_keyframe(const vio_keyframe_t& keyframe, const DecodedImage& image, double decoding_ms);
   Fix register_image(const vio_keyframe_t& message, const cv::Mat& image, const Heading& heading, map_fix_t& out);
   std::optional<PositionPrior> expected_position(int64_t utime) const;
   void publish(const vio_keyframe_t& keyframe, const Fix& fix, const std::optional<Heading>& heading, map_fix_t& out);
@@ -79,10 +85,11 @@ class RegistrationService : public Service {
   NavGuard nav_guard_;
   std::deque<nav_state_t> nav_states_;  // of the last seconds, those with a position
 
-  std::map<int64_t, image_t> images_;  // by utime
+  std::map<int64_t, image_t> images_;  // of CAMERA, by utime
+  ImageAssembler keyframe_images_;
   HeadingBuffer headings_;
   KeyframeRepeats repeats_;
-  std::deque<vio_keyframe_t> pending_;  // waiting for the compass sample after them
+  std::deque<vio_keyframe_t> pending_;  // waiting for the compass sample after them, or for their images
   int64_t newest_data_ = 0;             // utime of the newest image or compass sample
 
   MapClient map_client_;

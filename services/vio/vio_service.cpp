@@ -10,6 +10,7 @@
 #include <spdlog/spdlog.h>
 
 #include "common/bus/channels.h"
+#include "common/bus/image_parts.h"
 #include "common/camera/image_decode.h"
 #include "orthonav/altitude_t.hpp"
 #include "orthonav/vio_state_t.hpp"
@@ -20,8 +21,10 @@ namespace {
 constexpr double kUnknown = std::numeric_limits<double>::quiet_NaN();
 // Images that may wait: one in work and a few that arrived while it was, so that a slow frame costs no track.
 constexpr size_t kImageQueue = 4;
-// How soon after a keyframe at most it is sent again.
-constexpr std::chrono::milliseconds kRepeatKeyframe{100};
+// Images kept for keyframes: more than the odometry has waiting for their order and for inertial samples.
+constexpr size_t kImagesKept = 64;
+// A keyframe is sent again between once and twice this after it: what loses one packet may lose its neighbours.
+constexpr std::chrono::milliseconds kRepeatKeyframe{50};
 
 void put(const Eigen::Vector3d& from, double* to) {
   std::copy_n(from.data(), 3, to);
@@ -88,6 +91,8 @@ void VioService::on_image(const image_t& message) {
     node_.health().reject("camera.missed", "images did not come in time: are packets lost, or is this board too slow?",
                           missing);
   }
+  images_.push_back(message);
+  if (images_.size() > kImagesKept) images_.pop_front();
   vio_.feed_image(message.utime, image.grey);
   drain();
 }
@@ -122,6 +127,7 @@ void VioService::drain() {
       publish_keyframe(*output);
       remember();
     }
+    std::erase_if(images_, [&](const image_t& image) { return image.utime <= output->utime; });
     update_health(*output);
   }
   report_rejects();
@@ -192,13 +198,24 @@ void VioService::publish_keyframe(const VioOutput& output) {
     message.features.push_back(entry);
   }
   message.num_features = static_cast<int32_t>(message.features.size());
-  node_.publish(channel::kVioKeyframe, message);
-  to_repeat_ = std::move(message);
+  const auto is_its_own = [&](const image_t& image) { return image.utime == keyframe.utime; };
+  const auto image = std::find_if(images_.begin(), images_.end(), is_its_own);
+  if (image == images_.end()) node_.health().add("keyframes.without_image");
+  to_repeat_ = {std::move(message), image == images_.end() ? std::vector<keyframe_image_t>{} : parts_of(*image)};
+  publish(*to_repeat_);
+}
+
+void VioService::publish(const KeyframeMessages& messages) {
+  node_.publish(channel::kVioKeyframe, messages.keyframe);
+  for (const keyframe_image_t& part : messages.image) node_.publish(channel::kKeyframeImage, part);
 }
 
 void VioService::repeat_keyframe() {
-  if (to_repeat_) node_.publish(channel::kVioKeyframe, *to_repeat_);
-  to_repeat_.reset();
+  if (!to_repeat_) return;
+  if (std::exchange(to_repeat_->waited, true)) {
+    publish(*to_repeat_);
+    to_repeat_.reset();
+  }
 }
 
 void VioService::update_health(const VioOutput& output) {

@@ -1,15 +1,18 @@
-// vio on the bus: IMU, CAMERA, ALTITUDE and VIO_RESET in, VIO_STATE and VIO_KEYFRAME out.
+// vio on the bus: IMU, CAMERA, ALTITUDE and VIO_RESET in, VIO_STATE, VIO_KEYFRAME and KEYFRAME_IMAGE out.
 #pragma once
 
+#include <deque>
 #include <filesystem>
 #include <memory>
 #include <optional>
 #include <string>
+#include <vector>
 
 #include "common/bus/node.h"
 #include "common/bus/service_main.h"
 #include "orthonav/image_t.hpp"
 #include "orthonav/imu_t.hpp"
+#include "orthonav/keyframe_image_t.hpp"
 #include "orthonav/nav_state_t.hpp"
 #include "orthonav/vio_keyframe_t.hpp"
 #include "orthonav/vio_reset_t.hpp"
@@ -29,6 +32,12 @@ class VioService final : public Service {
   VioService(Node& node, const VioSetup& setup, std::filesystem::path memory_file = {});
 
  private:
+  struct KeyframeMessages {
+    vio_keyframe_t keyframe;
+    std::vector<keyframe_image_t> image;
+    bool waited = false;
+  };
+
   void on_imu(const imu_t& message);
   void on_image(const image_t& message);
   void on_nav(const nav_state_t& message);
@@ -37,6 +46,7 @@ class VioService final : public Service {
   void remember();
   void publish_state(const VioOutput& output, double processing_ms);
   void publish_keyframe(const VioOutput& output);
+  void publish(const KeyframeMessages& messages);
   void repeat_keyframe();
   void update_health(const VioOutput& output);
   void report_rejects();
@@ -46,7 +56,8 @@ class VioService final : public Service {
   Vio vio_;
   ScaleHinter hinter_;
   MissedImages missed_images_;
-  std::optional<vio_keyframe_t> to_repeat_;  // once more, for who missed it
+  std::deque<image_t> images_;                 // until the odometry has said whether they are of keyframes
+  std::optional<KeyframeMessages> to_repeat_;  // once more, for who missed it
   std::filesystem::path memory_file_;
   std::map<std::string, double> reported_;  // rejects already shown in the health
   int announced_session_ = 0;

@@ -80,7 +80,7 @@ TEST_F(BoardsFlight, TwoAndThreeBoardsFlyAsOneDoes) {
   }
 }
 
-TEST_F(BoardsFlight, PacketsLostOnASealedBusCostImagesAndNotThePosition) {
+TEST_F(BoardsFlight, PacketsLostOnASealedBusCostNeitherFixesNorThePosition) {
   const auto key = folder_ / "bus.key";
   std::ofstream(key) << std::string(64, '5');
   std::filesystem::permissions(key, std::filesystem::perms::owner_read);
@@ -88,10 +88,10 @@ TEST_F(BoardsFlight, PacketsLostOnASealedBusCostImagesAndNotThePosition) {
   begin("per mille", "three", {"--loss", "1"});
   begin("per cent", "three", {"--loss", "10"});
   unsetenv("ORTHONAV_BUS_KEY");
-  const double clean = rmse(replayed());
+  const Report clean = replayed();
   for (const char* name : {"per mille", "per cent"}) {
     const Report report = land(name);
-    EXPECT_LT(rmse(report), 1.25 * clean) << name;
+    EXPECT_LT(rmse(report), 1.25 * rmse(clean)) << name;
     EXPECT_EQ(report["registration"]["false_fixes"], 0) << name;
     // The whole map is there, whatever part of it was lost: it was asked for again.
     EXPECT_GT(counter(report, "map_server", "map.features"), 0) << name;
@@ -103,7 +103,9 @@ TEST_F(BoardsFlight, PacketsLostOnASealedBusCostImagesAndNotThePosition) {
     const double keyframes = report["health"]["vio"]["counters"]["keyframes"];
     EXPECT_LT(images, 0.75);
     EXPECT_LE(counter(report, "fusion", "keyframes.missed"), 0.05 * keyframes);
-    EXPECT_GT(counter(report, "registration", "rejected.keyframe.no_image"), 0);
+    // Of the images on CAMERA half are lost; of their parts, which come twice, next to none.
+    EXPECT_LE(counter(report, "registration", "rejected.keyframe.no_image"), 0.05 * keyframes);
+    EXPECT_GE(report["registration"]["fixes"].get<double>(), 0.9 * clean["registration"]["fixes"].get<double>());
     EXPECT_GT(counter(report, "vio", "rejected.camera.missed"), 0);
   }
 }

@@ -13,6 +13,7 @@
 #include "orthonav/health_t.hpp"
 #include "orthonav/image_t.hpp"
 #include "orthonav/imu_t.hpp"
+#include "orthonav/keyframe_image_t.hpp"
 #include "orthonav/magnetometer_t.hpp"
 #include "orthonav/map_fix_t.hpp"
 #include "orthonav/map_info_t.hpp"
@@ -51,6 +52,7 @@ const std::vector<Target>& targets() {
                                        target<altitude_t>(channel::kAltitude),
                                        target<vio_state_t>(channel::kVioState),
                                        target<vio_keyframe_t>(channel::kVioKeyframe),
+                                       target<keyframe_image_t>(channel::kKeyframeImage),
                                        target<vio_reset_t>(channel::kVioReset),
                                        target<map_info_t>(channel::kMapInfo),
                                        target<map_tile_t>(channel::kMapTile),
@@ -101,7 +103,7 @@ void publish_garbage(lcm::LCM& bus, std::mt19937_64& random) {
 }
 
 void publish_absurd(lcm::LCM& bus, std::mt19937_64& random, int64_t now, int32_t session, int32_t keyframe) {
-  switch (random() % 13) {
+  switch (random() % 14) {
     case 0: {
       imu_t m{};
       m.utime = some_time(random, now);
@@ -233,6 +235,22 @@ void publish_absurd(lcm::LCM& bus, std::mt19937_64& random, int64_t now, int32_t
       m.state = static_cast<int8_t>(random());
       m.uptime = absurd(random);
       bus.publish(channel::kHealth, &m);
+      break;
+    }
+    case 12: {
+      // One of two with the numbers of an image of a camera that is flown here, and often whole.
+      constexpr int kSizes[][2] = {{640, 480}, {320, 240}, {-1, 512}, {1 << 30, 1 << 30}};
+      keyframe_image_t m{};
+      const size_t size = random() % std::size(kSizes);
+      m.utime = some_time(random, now);
+      m.width = kSizes[size][0];
+      m.height = kSizes[size][1];
+      m.pixelformat = random() % 2 == 0 ? +image_t::PIXEL_FORMAT_GRAY : +image_t::PIXEL_FORMAT_MJPEG;
+      m.size = random() % 4 == 0 ? static_cast<int32_t>(random()) : static_cast<int32_t>(1 + random() % 1000);
+      m.part = random() % 4 == 0 ? static_cast<int32_t>(random()) : 0;
+      m.data.resize(static_cast<size_t>(std::clamp(m.size, 0, 1000)));
+      m.num_bytes = static_cast<int32_t>(m.data.size());
+      bus.publish(channel::kKeyframeImage, &m);
       break;
     }
     default: {

@@ -3,6 +3,7 @@
 #include <cstdlib>
 #include <vector>
 
+#include "common/bus/image_parts.h"
 #include "common/camera/image_decode.h"
 #include "orthonav/altitude_t.hpp"
 #include "orthonav/compass_t.hpp"
@@ -69,6 +70,19 @@ void image(const uint8_t* data, size_t size) {
   decode_image(message, 64, 48);
 }
 
+// Two parts, of one image or of two.
+void image_part(const uint8_t* data, size_t size) {
+  const size_t half = size / 2;
+  ImageAssembler assembler(64, 48);
+  for (size_t begin : {size_t{0}, half}) {
+    keyframe_image_t part{};
+    if (!decode(data + begin, begin == 0 ? half : size - half, part)) continue;
+    assembler.add(part);
+    for (const image_t& whole : assembler.find(part.utime)) decode_image(whole, 64, 48);
+    assembler.describe(part.utime);
+  }
+}
+
 void keyframe(const uint8_t* data, size_t size) {
   vio_keyframe_t message{};
   if (decode(data, size, message)) registration::keyframe_of(message);
@@ -111,7 +125,8 @@ extern "C" int LLVMFuzzerTestOneInput(const uint8_t* data, size_t size) {
                                    only_decode<map_fix_t>,
                                    only_decode<nav_state_t>,
                                    only_decode<health_t>,
-                                   only_decode<vio_reset_t>};
+                                   only_decode<vio_reset_t>,
+                                   image_part};
   kTypes[data[0] % std::size(kTypes)](data + 1, size - 1);
   return 0;
 }

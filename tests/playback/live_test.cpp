@@ -141,9 +141,10 @@ TEST_F(LiveFlight, AnyServiceKilledIsNavigatingAgainWithinFiveSecondsAndTheOther
 
   // Garbage on every channel is no reason to stop either.
   const std::string garbage(300, 'x');
-  for (const char* channel : {channel::kImu, channel::kCamera, channel::kCompass, channel::kVioState,
-                              channel::kVioKeyframe, channel::kMapInfo, channel::kMapTile, channel::kMapTileRequest,
-                              channel::kMapFix, channel::kNavState, channel::kVioReset, channel::kHealth}) {
+  for (const char* channel :
+       {channel::kImu, channel::kCamera, channel::kCompass, channel::kVioState, channel::kVioKeyframe,
+        channel::kKeyframeImage, channel::kMapInfo, channel::kMapTile, channel::kMapTileRequest, channel::kMapFix,
+        channel::kNavState, channel::kVioReset, channel::kHealth}) {
     for (int i = 0; i < 100; ++i) bus.publish(channel, garbage.data(), static_cast<unsigned>(garbage.size()));
   }
   const size_t count = nav.messages.size();

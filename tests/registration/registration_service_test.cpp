@@ -5,11 +5,13 @@
 #include <limits>
 #include <set>
 
+#include <fmt/format.h>
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 #include <opencv2/imgcodecs.hpp>
 
 #include "common/bus/channels.h"
+#include "common/bus/image_parts.h"
 #include "orthonav/map_tile_request_t.hpp"
 #include "tests/faults/vandal.h"
 #include "tests/registration/synthetic_flight.h"
@@ -337,23 +339,29 @@ TEST_F(RegistrationOnTheBus, SurvivesEveryKindOfBadKeyframe) {
     bus_.publish(channel::kVioKeyframe, &keyframe);
     pump();
     send_compass(keyframe.utime + 10'000, 1.2);
+    // An image that is missing or damaged may still come.
+    if (fixes_.messages.size() == static_cast<size_t>(expected)) send_compass(keyframe.utime + 510'000, 1.2);
     ++expected;
     EXPECT_EQ(fixes_.messages.size(), static_cast<size_t>(expected));
     EXPECT_FALSE(fixes_.messages.back().valid);
     return fixes_.messages.back().reason;
   };
   int64_t t = now_;
-  const auto next = [&] { return t += 100'000; };
+  const auto next = [&] { return t += 1'000'000; };
 
-  EXPECT_THAT(refused(nullptr, keyframe_message(next(), 0)), HasSubstr("no image"));
+  EXPECT_THAT(refused(nullptr, keyframe_message(next(), 0)),
+              HasSubstr("no image of the keyframe's time: no part came"));
+  EXPECT_EQ(node_.health().counter("rejected.keyframe.no_image"), 1);
 
   image_t image = image_message(next(), capture_.image);
   image.data.resize(image.data.size() / 2);
   image.size = static_cast<int32_t>(image.data.size());
-  EXPECT_NE(refused(&image, keyframe_message(t, 1)), "");
+  EXPECT_THAT(refused(&image, keyframe_message(t, 1)), HasSubstr("truncated"));
 
   image = image_message(next(), capture_.image(cv::Rect(0, 0, 200, 200)).clone());
-  EXPECT_NE(refused(&image, keyframe_message(t, 2)), "");
+  EXPECT_THAT(refused(&image, keyframe_message(t, 2)), HasSubstr("no part came"));
+  EXPECT_EQ(node_.health().counter("rejected.camera"), 1);
+  EXPECT_EQ(node_.health().counter("rejected.keyframe.no_image"), 3);
 
   vio_keyframe_t keyframe = keyframe_message(next(), 3);
   keyframe.height_above_ground = kNan;
@@ -379,6 +387,51 @@ TEST_F(RegistrationOnTheBus, SurvivesEveryKindOfBadKeyframe) {
   // And after all this, a good one.
   send_all(next(), 7);
   expect_fix(fixes_.messages.back());
+}
+
+// Of the image on CAMERA any lost packet costs all.
+TEST_F(RegistrationOnTheBus, TakesAnImageFromItsPartsAsSoonAsAllAreThere) {
+  fetch_map();
+  const std::vector<keyframe_image_t> parts = parts_of(image_message(now_, capture_.image));
+  const vio_keyframe_t keyframe = keyframe_message(now_, 1);
+  const auto send = [&](size_t without) {
+    bus_.publish(channel::kVioKeyframe, &keyframe);
+    for (size_t k = 0; k < parts.size(); ++k) {
+      if (k != without) bus_.publish(channel::kKeyframeImage, &parts[k]);
+    }
+    pump();
+  };
+  send_compass(now_ - 10'000, capture_.heading.value);
+  send_compass(now_ + 10'000, capture_.heading.value);
+  // Somebody else's, which comes first.
+  image_t forged = image_message(now_, capture_.image);
+  forged.data.resize(1000);
+  bus_.publish(channel::kKeyframeImage, &parts_of(forged).front());
+  send(3);
+  EXPECT_EQ(fixes_.messages.size(), 0U);
+  send(0);
+  ASSERT_EQ(fixes_.messages.size(), 1U);
+  expect_fix(fixes_.messages.front());
+  keyframe_image_t wrong = parts.front();
+  wrong.width = 1;
+  bus_.publish(channel::kKeyframeImage, &wrong);
+  pump();
+  EXPECT_EQ(node_.health().counter("rejected.keyframe_image"), 1);
+}
+
+TEST_F(RegistrationOnTheBus, SaysHowMuchOfAnImageCame) {
+  fetch_map();
+  const std::vector<keyframe_image_t> parts = parts_of(image_message(now_, capture_.image));
+  const vio_keyframe_t keyframe = keyframe_message(now_, 1);
+  bus_.publish(channel::kVioKeyframe, &keyframe);
+  for (size_t k = 1; k < parts.size(); ++k) bus_.publish(channel::kKeyframeImage, &parts[k]);
+  send_compass(now_, capture_.heading.value);
+  send_compass(now_ + 490'000, capture_.heading.value);
+  EXPECT_EQ(fixes_.messages.size(), 0U);
+  send_compass(now_ + 510'000, capture_.heading.value);
+  ASSERT_EQ(fixes_.messages.size(), 1U);
+  EXPECT_EQ(fixes_.messages.front().reason,
+            fmt::format("no image of the keyframe's time: {} of {} parts came", parts.size() - 1, parts.size()));
 }
 
 TEST_F(RegistrationOnTheBus, CountsMalformedTiles) {

@@ -6,11 +6,13 @@
 #include <filesystem>
 #include <fstream>
 #include <limits>
+#include <map>
 
 #include <gtest/gtest.h>
 #include <opencv2/imgcodecs.hpp>
 
 #include "common/bus/channels.h"
+#include "common/bus/image_parts.h"
 #include "common/camera/image_decode.h"
 #include "common/config/config.h"
 #include "orthonav/vio_keyframe_t.hpp"
@@ -143,6 +145,7 @@ class VioServiceTest : public testing::Test {
     write_vio("estimator: {window: 12}\n");
     bus_.subscribe(channel::kVioState, &VioServiceTest::on_state, this);
     bus_.subscribe(channel::kVioKeyframe, &VioServiceTest::on_keyframe, this);
+    bus_.subscribe(channel::kKeyframeImage, &VioServiceTest::on_image_part, this);
   }
 
   void write_vio(const std::string& text) { std::ofstream(folder_.path() / "vio.yaml") << text; }
@@ -167,6 +170,11 @@ class VioServiceTest : public testing::Test {
   void on_state(const lcm::ReceiveBuffer*, const std::string&, const vio_state_t* message) {
     states_.push_back(*message);
   }
+  void on_image_part(const lcm::ReceiveBuffer*, const std::string&, const keyframe_image_t* message) {
+    ASSERT_TRUE(images_.add(*message));
+    if (images_.has(message->utime))
+      pictures_[message->utime] = decode_image(images_.find(message->utime).front()).grey;
+  }
   void on_keyframe(const lcm::ReceiveBuffer*, const std::string&, const vio_keyframe_t* message) {
     keyframes_.push_back(*message);
   }
@@ -176,6 +184,8 @@ class VioServiceTest : public testing::Test {
   Trajectory flight_ = survey_flight(40, 2.0);
   std::vector<vio_state_t> states_;
   std::vector<vio_keyframe_t> keyframes_;
+  std::map<int64_t, cv::Mat> pictures_;  // of the keyframes, by utime, from their parts
+  ImageAssembler images_{640, 480};
 };
 
 TEST_F(VioServiceTest, SpeaksTheContractOfItsMessagesAndSurvivesBadOnes) {
@@ -219,6 +229,9 @@ TEST_F(VioServiceTest, SpeaksTheContractOfItsMessagesAndSurvivesBadOnes) {
   for (size_t k = 0; k < keyframes_.size(); ++k) {
     EXPECT_EQ(keyframes_[k].id, static_cast<int>(k));
     EXPECT_GT(keyframes_[k].num_features, 20);
+    const cv::Mat picture = ground.picture(flight_, 1e-6 * static_cast<double>(keyframes_[k].utime - to_utime(0)));
+    ASSERT_TRUE(pictures_.contains(keyframes_[k].utime)) << "keyframe " << k << " came without its image";
+    EXPECT_EQ(cv::norm(pictures_[keyframes_[k].utime], picture, cv::NORM_INF), 0);
     EXPECT_EQ(std::isnan(keyframes_[k].relative_covariance[0]), k == 0);
   }
   EXPECT_GT(node.health().counter("rejected.camera"), 20);
