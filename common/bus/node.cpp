@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <atomic>
+#include <cctype>
 #include <cmath>
 #include <condition_variable>
 #include <csignal>
@@ -36,12 +37,28 @@ constexpr auto kStopPoll = std::chrono::milliseconds(50);  // how soon run() see
 constexpr double kTolerableSkew = 0.1;                     // s
 constexpr auto kTwinIsThere = std::chrono::seconds(3);     // after its last heartbeat
 constexpr int64_t kLargestTimerLag = 10'000'000;           // microseconds of replayed time that timers catch up on
+constexpr int64_t kSilence = 2'000'000;                    // microseconds without a message that is expected
+constexpr size_t kMostWaiting = size_t{64} << 20;          // bytes of messages that wait to be handled
+constexpr size_t kLongestName = 64;                        // of a host or a service
+constexpr size_t kLongestMessage = 300;                    // of a heartbeat
 
 std::atomic<bool> g_signalled{false};
 std::atomic<bool> g_stopwatch_in_replay{false};
 
 void on_signal(int) {
   g_signalled = true;
+}
+
+int64_t monotonic() {
+  return std::chrono::duration_cast<std::chrono::microseconds>(Clock::now().time_since_epoch()).count();
+}
+
+// Part of what a heartbeat says may come from the bus: it is no longer than a line, and a line.
+std::string one_line(std::string text) {
+  if (text.size() > kLongestMessage) text.replace(kLongestMessage, std::string::npos, " ...");
+  std::replace_if(
+      text.begin(), text.end(), [](unsigned char c) { return std::iscntrl(c) != 0; }, ' ');
+  return text;
 }
 
 std::string host_name() {
@@ -82,6 +99,23 @@ std::string bus_url(const NodeOptions& options) {
   return url;
 }
 
+std::unique_ptr<lcm::LCM> join_bus(const NodeOptions& options) {
+  const std::string url = bus_url(options);
+  auto bus = std::make_unique<lcm::LCM>(url);
+  if (!bus->good()) {
+    throw std::runtime_error(
+        fmt::format("cannot join the bus at {}: is there a multicast route? (ip route add "
+                    "224.0.0.0/4 dev lo)",
+                    url));
+  }
+  // LCM begins to receive here, and proves it to itself, for ten seconds at most.
+  if (url.starts_with("udpm") && bus->getFileno() < 0) {
+    throw std::runtime_error(
+        fmt::format("nothing comes back from the bus at {}: does a firewall drop it? (nft list ruleset)", url));
+  }
+  return bus;
+}
+
 // ---- Health ---------------------------------------------------------------------------------------------------------
 
 void Health::set_state(State state, const std::string& message) {
@@ -117,6 +151,8 @@ struct Node::Impl {
     int64_t reported_refused = 0;
     int64_t reported = 0;
     double slowest_ms = 0;  // since the last heartbeat, from the socket to the end of the handler
+    bool expected = false;
+    int64_t handled_at = 0;  // the last, steady; 0: none yet
     // With a key; only for the receive thread. One for each, for a message that comes to two of them is no replay.
     std::optional<SealChecker> seals;
 
@@ -126,6 +162,8 @@ struct Node::Impl {
     Subscription* subscription;
     std::vector<uint8_t> data;
     Clock::time_point received;
+
+    size_t size() const { return sizeof(Message) + data.size(); }
   };
   struct Timer {
     int64_t period;
@@ -138,7 +176,7 @@ struct Node::Impl {
   std::unique_ptr<lcm::LCM> own;
   lcm::LCM* shared = nullptr;
   int64_t replay_now = 0;
-  int64_t start = 0;
+  int64_t start = 0;  // steady, as the times below
   std::atomic<bool> stopping{false};
   Health health;
   Health::State published_state = Health::State::kStarting;
@@ -157,12 +195,16 @@ struct Node::Impl {
   std::mutex queue_mutex;
   std::condition_variable queue_filled;
   std::deque<Message> queue;
+  size_t bytes_waiting = 0;  // in the queue
 
-  void dispatch(const Subscription& subscription, const void* data, size_t size) {
+  int64_t steady_now() const { return own ? monotonic() : replay_now; }
+
+  void dispatch(Subscription& subscription, const void* data, size_t size) {
     health.add("received." + subscription.channel);
     try {
       switch (subscription.handler(data, size)) {
         case Handled::kYes:
+          subscription.handled_at = steady_now();
           break;
         case Handled::kUndecodable:
           health.reject("undecodable." + subscription.channel,
@@ -200,6 +242,12 @@ struct Node::Impl {
                              ? queue.end()
                              : std::find_if(queue.begin(), queue.end(),
                                             [&](const Message& m) { return m.subscription == &subscription; });
+      const size_t leaving = first == queue.end() ? 0 : first->size();
+      if (bytes_waiting - leaving + message.size() > kMostWaiting) {
+        ++subscription.dropped;
+        return;
+      }
+      bytes_waiting += message.size() - leaving;
       if (first != queue.end() && subscription.delivery == Delivery::kReplace) {
         // In its place: at the end of the queue, it could be replaced for ever.
         *first = std::move(message);
@@ -280,22 +328,15 @@ void Node::Impl::Subscription::receive(const lcm::ReceiveBuffer* buffer, const s
 
 Node::Node(const NodeOptions& options) : impl_(std::make_unique<Impl>()) {
   impl_->options = options;
-  const std::string url = bus_url(options);
-  impl_->own = std::make_unique<lcm::LCM>(url);
-  if (!impl_->own->good()) {
-    throw std::runtime_error(
-        fmt::format("cannot join the bus at {}: is there a multicast route? (ip route add "
-                    "224.0.0.0/4 dev lo)",
-                    url));
-  }
+  impl_->own = join_bus(options);
   std::string key_file = options.key_file;
   if (const char* named = std::getenv("ORTHONAV_BUS_KEY"); key_file.empty() && named != nullptr) key_file = named;
   if (!key_file.empty()) {
     impl_->key = read_bus_key(key_file);
     impl_->sealer.emplace(*impl_->key);
   }
-  impl_->start = now();
-  if (url.rfind("udpm", 0) == 0) {
+  impl_->start = steady_now();
+  if (bus_url(options).starts_with("udpm")) {
     const int granted = granted_receive_buffer(options.receive_buffer);
     impl_->health.set("bus.receive_buffer", granted);
     if (granted < options.receive_buffer) {
@@ -374,6 +415,16 @@ int64_t Node::now() const {
   return wall_time();
 }
 
+int64_t Node::steady_now() const {
+  return impl_->steady_now();
+}
+
+void Node::expect(const std::string& channel) {
+  for (const auto& subscription : impl_->subscriptions) {
+    if (subscription->channel == channel) subscription->expected = true;
+  }
+}
+
 void Node::advance(int64_t utime) {
   if (impl_->start == 0) impl_->start = utime;
   impl_->replay_now = std::max(impl_->replay_now, utime);
@@ -392,9 +443,6 @@ int Node::run() {
     while (!stopping()) impl_->own->handleTimeout(static_cast<int>(kStopPoll.count()));
   });
   publish_health();
-  const auto monotonic = [] {
-    return std::chrono::duration_cast<std::chrono::microseconds>(Clock::now().time_since_epoch()).count();
-  };
   while (!stopping()) {
     const int64_t due = impl_->fire_timers(monotonic());
     impl_->report_drops();
@@ -408,6 +456,7 @@ int Node::run() {
       if (!impl_->queue.empty()) {
         message = std::move(impl_->queue.front());
         impl_->queue.pop_front();
+        impl_->bytes_waiting -= message->size();
         --message->subscription->waiting;
       }
     }
@@ -424,6 +473,11 @@ int Node::run() {
 
 void Node::Impl::hear(const health_t& heartbeat, int64_t time) {
   const std::string host = host_name();
+  // What follows is said again in this one's own heartbeats.
+  if (heartbeat.host.size() > kLongestName || heartbeat.service.size() > kLongestName) {
+    health.reject("heartbeat", "HEALTH: a heartbeat of a host or service whose name is longer than any");
+    return;
+  }
   if (heartbeat.host != host) skew.add(heartbeat.host, heartbeat.utime, time);
   if (heartbeat.service != options.service || (heartbeat.host == host && heartbeat.pid == getpid())) return;
   const auto speaks = [](const health_counter_t& counter) { return counter.name.starts_with("published."); };
@@ -453,13 +507,24 @@ void Node::Impl::measure(int64_t time) {
   }
 }
 
+std::string Node::silence() const {
+  std::string message;
+  for (const auto& subscription : impl_->subscriptions) {
+    const int64_t silent = steady_now() - subscription->handled_at;
+    if (!live() || !subscription->expected || subscription->handled_at == 0 || silent < kSilence) continue;
+    message += fmt::format("{}{}: silent for {:.0f} s", message.empty() ? "" : "; ", subscription->channel,
+                           1e-6 * static_cast<double>(silent));
+  }
+  return message;
+}
+
 void Node::publish_health() {
   if (!impl_->options.heartbeat) return;
   Health& health = impl_->health;
-  const int64_t time = now();
+  const int64_t time = now(), steady = steady_now();
   if (live()) impl_->measure(time);
   if (health.reject_pending_) {
-    health.reject_until_ = time + kRejectDegradesFor;
+    health.reject_until_ = steady + kRejectDegradesFor;
     health.reject_pending_ = false;
   }
   health_t message;
@@ -470,20 +535,20 @@ void Node::publish_health() {
   message.pid = live() ? static_cast<int32_t>(getpid()) : 0;
   Health::State state = health.state_;
   message.message = health.message_;
-  if (state == Health::State::kOk && time < health.reject_until_) {
-    state = Health::State::kDegraded;
-    message.message = health.reject_message_;
-  } else if (state == Health::State::kStarting && time < health.reject_until_) {
-    // What is refused may well be what it waits for.
-    message.message += (message.message.empty() ? "" : "; ") + health.reject_message_;
+  // What is refused or silent may well be what a service waits for.
+  for (const std::string& trouble : {silence(), steady < health.reject_until_ ? health.reject_message_ : ""}) {
+    if (trouble.empty() || message.message.find(trouble) != std::string::npos) continue;
+    if (state == Health::State::kOk) state = Health::State::kDegraded;
+    message.message += (message.message.empty() ? "" : "; ") + trouble;
   }
   for (const std::string& warning : {impl_->twin_message, impl_->buffer_message, impl_->skew_message}) {
     if (state != Health::State::kOk || warning.empty()) continue;
     state = Health::State::kDegraded;
     message.message = warning;
   }
+  message.message = one_line(message.message);
   message.state = static_cast<int8_t>(state);
-  message.uptime = static_cast<double>(time - impl_->start) * 1e-6;
+  message.uptime = static_cast<double>(steady - impl_->start) * 1e-6;
   for (const auto& [name, value] : health.counters_) {
     health_counter_t counter;
     counter.name = name;

@@ -11,7 +11,7 @@
 // A message whose utime is more than 30 s from those before it on its channel is refused (time_guard.h). Undecodable
 // messages, these, messages lost by a full queue and handlers that throw are counted and shown in the
 // heartbeat (health_t on channel HEALTH, once a second); they never end the process. So is another process that calls
-// itself by the same service's name and publishes.
+// itself by the same service's name and publishes, and a channel that has fallen silent (expect()).
 #pragma once
 
 #include <chrono>
@@ -45,9 +45,12 @@ struct NodeOptions {
 // The URL a node with these options joins: with the default bus and the receive buffer filled in.
 std::string bus_url(const NodeOptions& options);
 
+// Joins it. Throws std::runtime_error naming the URL when that cannot be done, or what is sent does not come back.
+std::unique_ptr<lcm::LCM> join_bus(const NodeOptions& options);
+
 // What happens to messages that arrive faster than they are handled.
 enum class Delivery {
-  kAll,      // unbounded, in order: IMU, keyframes, fixes
+  kAll,      // all, in order: IMU, keyframes, fixes
   kLatest,   // at most `depth` wait; the oldest is given up and counted: images
   kReplace,  // one waits, a newer one takes its place, and nothing is lost by that: states, announcements
 };
@@ -60,7 +63,7 @@ class Health {
   void set_state(State state, const std::string& message = "");
   void set(const std::string& counter, double value) { counters_[counter] = value; }
   void add(const std::string& counter, double amount = 1) { counters_[counter] += amount; }
-  // Counts `amount` under `rejected.<what>` and degrades the state for 5 s with this message.
+  // Counts `amount` under `rejected.<what>` and for 5 s degrades the state, or adds to its message, with this one.
   void reject(const std::string& what, const std::string& message, double amount = 1);
 
   State state() const { return state_; }
@@ -79,7 +82,7 @@ class Health {
 
 class Node {
  public:
-  // Live. Throws std::runtime_error naming the URL when the bus cannot be joined, or the key file when it is no key.
+  // Live. Throws std::runtime_error as join_bus does, or naming the key file when it is no key.
   explicit Node(const NodeOptions& options);
   // Replayed, on a shared memq:// instance that outlives the node.
   Node(const NodeOptions& options, lcm::LCM& shared);
@@ -96,14 +99,19 @@ class Node {
         [handler = std::move(handler), guard = TimeGuard(proof_of<Msg>())](const void* data, size_t size) mutable {
           Msg message;
           if (message.decode(data, 0, static_cast<int>(size)) < 0) return Handled::kUndecodable;
-          // Heartbeats come from many boards, whose clocks differ.
-          if constexpr (!std::is_same_v<Msg, health_t>) {
+          // Heartbeats and requests for a reset come from many boards, whose clocks differ, and hours apart.
+          if constexpr (!std::is_same_v<Msg, health_t> && !std::is_same_v<Msg, vio_reset_t>) {
             if (!guard.accept(message.utime)) return Handled::kFromAnotherTime;
           }
           handler(message);
           return Handled::kYes;
         });
   }
+
+  // Says that messages come on a channel that was subscribed to all the time. Once one has been handled, the heartbeat
+  // of a live node is DEGRADED, and says so, while none has for two seconds: a service whose state follows from what it
+  // hears cannot see by itself that it hears nothing.
+  void expect(const std::string& channel);
 
   // Sends a message. Failures are counted in the health.
   template <class Msg>
@@ -131,6 +139,8 @@ class Node {
   // Microseconds since the Unix epoch: the wall clock when live, the data's time when replayed. For stamping
   // outgoing housekeeping messages (health, requests), never for an algorithm.
   int64_t now() const;
+  // Microseconds of a clock that nobody sets, to wait by: the monotonic one when live, the data's time when replayed.
+  int64_t steady_now() const;
 
   bool live() const;
   Health& health();
@@ -139,8 +149,7 @@ class Node {
   // Requests and parts of a map come with long pauses between; all else is a stream.
   template <class Msg>
   static constexpr int64_t proof_of() {
-    constexpr bool asked_for =
-        std::is_same_v<Msg, map_tile_t> || std::is_same_v<Msg, map_tile_request_t> || std::is_same_v<Msg, vio_reset_t>;
+    constexpr bool asked_for = std::is_same_v<Msg, map_tile_t> || std::is_same_v<Msg, map_tile_request_t>;
     return asked_for ? 0 : 2'000'000;
   }
   enum class Handled { kYes, kUndecodable, kFromAnotherTime };
@@ -150,6 +159,7 @@ class Node {
   void publish_sealed(const std::string& channel, std::vector<uint8_t> message);
   void count_published(const std::string& channel, int size, int result);
   void publish_health();
+  std::string silence() const;
   lcm::LCM& lcm();
 
   struct Impl;

@@ -43,13 +43,12 @@ TileStore::Outcome add_tile(MapClient& client, const map_tile_t& tile, int64_t u
       {tile.tile, tile.part, tile.num_parts, positions, {tile.descriptors.data(), tile.descriptors.size()}}, utime);
 }
 
-std::optional<map_tile_request_t> next_request(MapClient& client, const std::string& name, int64_t utime) {
+std::optional<map_tile_request_t> next_request(MapClient& client, const std::string& name, int64_t steady_utime) {
   if (client.level() == nullptr) return std::nullopt;
-  map_tile_request_t request;
-  request.utime = utime;
+  map_tile_request_t request{};
   request.client = name;
   request.fingerprint = client.level()->layout.fingerprint;
-  for (const TileRequest& wanted : client.requests(utime)) {
+  for (const TileRequest& wanted : client.requests(steady_utime)) {
     request.tile.push_back(wanted.tile);
     request.part.push_back(wanted.part);
   }

@@ -20,7 +20,8 @@ MapLevel level_of(const map_info_t& info);
 
 TileStore::Outcome add_tile(MapClient& client, const map_tile_t& tile, int64_t utime);
 
-// What the client wants asked for now; nothing when it waits or has all.
-std::optional<map_tile_request_t> next_request(MapClient& client, const std::string& name, int64_t utime);
+// What the client wants asked for now, by a clock that nobody sets; nothing when it waits or has all. The request is
+// stamped by who sends it.
+std::optional<map_tile_request_t> next_request(MapClient& client, const std::string& name, int64_t steady_utime);
 
 }  // namespace orthonav::registration

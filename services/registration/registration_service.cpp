@@ -85,6 +85,7 @@ RegistrationService::RegistrationService(Node& node, const Setup& setup)
   node_.subscribe<map_tile_t>(channel::kMapTile, Delivery::kAll, [this](const map_tile_t& tile) { handle(tile); });
   node_.subscribe<nav_state_t>(channel::kNavState, Delivery::kReplace,
                                [this](const nav_state_t& state) { handle(state); });
+  for (const char* channel : {channel::kCamera, channel::kCompass}) node_.expect(channel);
   node_.every(std::chrono::milliseconds(options_.request_period_ms), [this] { request_tiles(); });
   node_.every(std::chrono::seconds(1), [this] { report_state(); });
   report_state();
@@ -209,7 +210,8 @@ void RegistrationService::clear_map() {
 }
 
 void RegistrationService::request_tiles() {
-  if (const auto request = next_request(map_client_, "registration", node_.now())) {
+  if (auto request = next_request(map_client_, "registration", node_.steady_now())) {
+    request->utime = node_.now();
     node_.publish(channel::kMapTileRequest, *request);
   }
   const TileStore& store = map_client_.store();
@@ -228,7 +230,7 @@ void RegistrationService::handle(const map_tile_t& tile) {
     node_.health().add("map.parts_of_another_map");
     return;
   }
-  switch (add_tile(map_client_, tile, node_.now())) {
+  switch (add_tile(map_client_, tile, node_.steady_now())) {
     case TileStore::Outcome::kAccepted:
       node_.health().add("map.parts_received");
       break;

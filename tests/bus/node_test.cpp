@@ -1,6 +1,7 @@
 #include "common/bus/node.h"
 
 #include <algorithm>
+#include <cctype>
 #include <semaphore>
 #include <thread>
 
@@ -12,6 +13,7 @@
 #include "orthonav/image_t.hpp"
 #include "orthonav/imu_t.hpp"
 #include "orthonav/vio_keyframe_t.hpp"
+#include "orthonav/vio_reset_t.hpp"
 #include "tests/support/bus_client.h"
 
 namespace orthonav {
@@ -129,6 +131,19 @@ TEST_F(ReplayedNode, AHandlerThatThrowsIsCountedAndSurvived) {
   pump();
   EXPECT_EQ(node.health().counter("rejected.exception.IMU"), 1);
   EXPECT_EQ(node.health().counter("received.IMU"), 2);
+}
+
+TEST_F(ReplayedNode, RequestsForAResetAreHeardHowFarApartTheyAre) {
+  Node node({.service = "vio"}, bus_);
+  int heard = 0;
+  node.subscribe<vio_reset_t>(channel::kVioReset, Delivery::kAll, [&](const vio_reset_t&) { ++heard; });
+  for (const int64_t utime : {int64_t{1'000'000}, int64_t{3'600'000'000}, int64_t{7'000'000}, int64_t{0}}) {
+    vio_reset_t request{};
+    request.utime = utime;
+    node.publish(channel::kVioReset, request);
+  }
+  pump();
+  EXPECT_EQ(heard, 4);
 }
 
 TEST_F(ReplayedNode, HeartbeatShowsStateCountersAndTheLastReject) {
@@ -287,6 +302,106 @@ TEST_F(LiveNode, AnotherProcessOfTheSameNameThatPublishesIsSaidInTheHealth) {
     return heartbeats.messages.back().host != "elsewhere" && heartbeats.messages.back().state == +health_t::OK;
   };
   EXPECT_TRUE(handle_until(bus_, is_well)) << "it is gone";
+}
+
+TEST_F(LiveNode, AChannelThatIsExpectedAndFallsSilentIsSaidWhateverTheServiceSays) {
+  for (const char* channel : {"IMU", "CAMERA", "COMPASS"}) {
+    node_->subscribe<imu_t>(channel, Delivery::kAll, [](const imu_t&) {});
+  }
+  node_->expect("IMU");
+  node_->expect("COMPASS");
+  node_->health().set_state(Health::State::kOk);
+  Collector<health_t> heartbeats(bus_, channel::kHealth);
+  start();
+  // One that never came is the service's to wait for.
+  const imu_t imu = imu_at(1);
+  bus_.publish("IMU", &imu);
+  bus_.publish("CAMERA", &imu);
+  const auto sent = std::chrono::steady_clock::now();
+  const auto silent = [&](const std::string& of) {
+    const health_t& last = heartbeats.messages.back();
+    return last.state == +health_t::DEGRADED && last.message.find(of + ": silent for ") != std::string::npos;
+  };
+  const auto says_so = [&] { return !heartbeats.messages.empty() && silent("IMU"); };
+  ASSERT_TRUE(handle_until(bus_, says_so));
+  EXPECT_FALSE(silent("CAMERA") || silent("COMPASS")) << heartbeats.messages.back().message;
+  const double seconds = std::chrono::duration<double>(std::chrono::steady_clock::now() - sent).count();
+  EXPECT_GE(seconds, 1.9);
+  EXPECT_LE(seconds, 5.0) << "two seconds, and a heartbeat each second";
+  bus_.publish("IMU", &imu);
+  EXPECT_TRUE(handle_until(bus_, [&] { return !silent("IMU"); })) << "it is back";
+}
+
+TEST_F(LiveNode, WhatComesFromTheBusMakesNoHeartbeatLong) {
+  node_->subscribe<health_t>("NAMED", Delivery::kAll,
+                             [this](const health_t& m) { node_->health().reject("named", m.message); });
+  Collector<health_t> heartbeats(bus_, channel::kHealth);
+  start();
+  health_t forged{};
+  forged.service = "live";
+  forged.host = std::string(5'000, 'x');
+  forged.pid = 7;
+  forged.message = "\033[2J\n" + forged.host;
+  health_counter_t published;
+  published.name = "published.ECHO";
+  forged.counters = {published};
+  forged.num_counters = 1;
+  bus_.publish(channel::kHealth, &forged);
+  bus_.publish("NAMED", &forged);
+  std::vector<health_t> own;
+  const auto refused = [&] {
+    own.clear();
+    for (const health_t& m : heartbeats.messages) {
+      if (m.pid != 7) own.push_back(m);
+    }
+    const auto counted = [&](const std::string& name) {
+      return !own.empty() && std::any_of(own.back().counters.begin(), own.back().counters.end(),
+                                         [&](const health_counter_t& c) { return c.name == name; });
+    };
+    return counted("rejected.heartbeat") && counted("rejected.named");
+  };
+  ASSERT_TRUE(handle_until(bus_, refused));
+  for (const health_t& m : own) {
+    EXPECT_LT(m.getEncodedSize(), 2000);
+    EXPECT_TRUE(std::none_of(m.message.begin(), m.message.end(), [](unsigned char c) { return std::iscntrl(c) != 0; }));
+  }
+}
+
+TEST_F(LiveNode, MessagesThatWaitFillNoMemory) {
+  std::binary_semaphore go{0};
+  node_->subscribe<compass_t>("HOLD", Delivery::kAll,
+                              [&](const compass_t&) { EXPECT_TRUE(go.try_acquire_for(test::kPatience)); });
+  int images = 0;
+  node_->subscribe<image_t>("LARGE", Delivery::kAll, [&](const image_t&) { ++images; });
+  node_->subscribe<compass_t>("MARK", Delivery::kAll, [&](const compass_t& m) { node_->publish("HEARD", m); });
+  Collector<compass_t> heard(bus_, "HEARD");
+  Collector<image_t> sent(bus_, "LARGE");
+  start();
+  const compass_t mark{};
+  bus_.publish("HOLD", &mark);
+  image_t image{};
+  image.data.resize(60'000);
+  image.size = 60'000;
+  constexpr size_t kImages = 8000;  // 480 MB, of which the kernel loses a part
+  for (size_t k = 1; k <= kImages; ++k) {
+    bus_.publish("LARGE", &image);
+    ASSERT_TRUE(handle_until(bus_, [&] { return sent.messages.size() >= k; }));
+    sent.messages.back() = {};
+  }
+  go.release();
+  // Asked until it is heard: the queue may be full yet.
+  const auto asked = [&] {
+    bus_.publish("MARK", &mark);
+    return !heard.messages.empty();
+  };
+  ASSERT_TRUE(handle_until(bus_, asked));
+  node_->stop();
+  thread_.join();
+  // What the sockets hold comes after.
+  constexpr int kWait = (64 << 20) / 60'000;
+  EXPECT_GT(images, kWait - 50);
+  EXPECT_LT(images, kWait + 500);
+  EXPECT_GT(node_->health().counter("rejected.overrun.LARGE"), 200);
 }
 
 TEST(Node, ABusThatCannotBeJoinedIsAnErrorWithItsUrl) {

@@ -231,7 +231,7 @@ void publish_absurd(lcm::LCM& bus, std::mt19937_64& random, int64_t now, int32_t
       health_t m{};
       m.utime = some_time(random, now);
       m.service = "vio";
-      m.host = std::string(1 + random() % 50, static_cast<char>(random()));
+      m.host = std::string(1 + random() % (random() % 20 == 0 ? 50'000 : 50), static_cast<char>(random()));
       m.state = static_cast<int8_t>(random());
       m.uptime = absurd(random);
       bus.publish(channel::kHealth, &m);

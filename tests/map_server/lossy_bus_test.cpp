@@ -76,7 +76,8 @@ TEST(MapOverALossyBus, EveryTileArrivesIntact) {
   });
   node.subscribe<map_tile_t>(channel::kMapTile, Delivery::kAll, [&](const map_tile_t& tile) {
     ++parts;
-    if (registration::add_tile(client, tile, node.now()) == registration::TileStore::Outcome::kDuplicate) ++repeated;
+    if (registration::add_tile(client, tile, node.steady_now()) == registration::TileStore::Outcome::kDuplicate)
+      ++repeated;
     if (auto ready = client.take_ready()) {
       features = std::move(ready);
       end = Clock::now();
@@ -84,8 +85,9 @@ TEST(MapOverALossyBus, EveryTileArrivesIntact) {
     }
   });
   node.every(std::chrono::milliseconds(50), [&] {
-    if (const auto request = registration::next_request(client, "client", node.now())) {
+    if (auto request = registration::next_request(client, "client", node.steady_now())) {
       ++requests;
+      request->utime = node.now();
       node.publish(channel::kMapTileRequest, *request);
     }
   });

@@ -51,10 +51,10 @@ const char* name_of(int8_t state) {
   return "UNKNOWN";
 }
 
-// Control characters of a message from the bus must not reach the terminal.
+// Control characters of a message from the bus must not reach the terminal, and there are some beyond ASCII.
 std::string printable(std::string text) {
   std::replace_if(
-      text.begin(), text.end(), [](unsigned char c) { return c < 0x20 || c == 0x7f; }, ' ');
+      text.begin(), text.end(), [](unsigned char c) { return c < 0x20 || c > 0x7e; }, ' ');
   return text;
 }
 

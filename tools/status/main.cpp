@@ -31,19 +31,17 @@ int main(int argc, char** argv) {
       "Exit code: 0 all OK; 1 one is STARTING or DEGRADED; 2 one is FAILED, LOST or MISSING, or none is there; 3 no "
       "bus."};
   std::string url;
-  std::vector<std::string> expected;
+  std::vector<std::string> expected{"ingest", "vio", "map_server", "registration", "fusion"};
   double seconds = 2.5;
   bool watch = false, json = false;
   app.add_option("--lcm-url", url, "bus to join (default: LCM_DEFAULT_URL, else this machine only)");
-  app.add_option("--expect", expected, "services that must be there, e.g. ingest,vio,map_server,registration,fusion")
-      ->delimiter(',');
+  app.add_option("--expect", expected, "services that must be there")->delimiter(',')->capture_default_str();
   app.add_option("--seconds", seconds, "how long to listen")->capture_default_str()->check(CLI::Range(0.1, 3600.0));
   app.add_flag("--watch", watch, "show the table anew every second until interrupted");
   app.add_flag("--json", json, "JSON in place of the table");
   CLI11_PARSE(app, argc, argv);
   try {
-    lcm::LCM bus(bus_url(NodeOptions{.service = "status", .lcm_url = url}));
-    if (!bus.good()) throw std::runtime_error("cannot join the bus");
+    const auto bus = join_bus({.service = "status", .lcm_url = url});
     status::Fleet fleet(expected);
     const std::function<void(const lcm::ReceiveBuffer*)> take = [&](const lcm::ReceiveBuffer* buffer) {
       health_t heartbeat;
@@ -51,7 +49,7 @@ int main(int argc, char** argv) {
         fleet.add(heartbeat, monotonic());
     };
     using Take = std::function<void(const lcm::ReceiveBuffer*)>;
-    bus.subscribeFunction(
+    bus->subscribeFunction(
         channel::kHealth, +[](const lcm::ReceiveBuffer* buffer, const std::string&, const Take* f) { (*f)(buffer); },
         &take);
     const bool terminal = isatty(STDOUT_FILENO) == 1;
@@ -63,7 +61,7 @@ int main(int argc, char** argv) {
     for (;;) {
       const int64_t end = monotonic() + static_cast<int64_t>(1e6 * (watch ? 1.0 : seconds));
       for (int64_t left = end - monotonic(); left > 0; left = end - monotonic()) {
-        bus.handleTimeout(static_cast<int>(std::min<int64_t>(left / 1000 + 1, 100)));
+        bus->handleTimeout(static_cast<int>(std::min<int64_t>(left / 1000 + 1, 100)));
       }
       if (watch && terminal && !json) fmt::print("\033[H\033[2J");
       show();
