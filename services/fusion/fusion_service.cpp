@@ -1,6 +1,7 @@
 #include "services/fusion/fusion_service.h"
 
 #include <algorithm>
+#include <chrono>
 #include <cmath>
 #include <utility>
 
@@ -14,6 +15,8 @@ namespace orthonav::fusion {
 namespace {
 
 constexpr int64_t kAnswersFor = 1'000'000;  // microseconds after a good odometry state
+constexpr std::chrono::milliseconds kWatchPeriod{500};
+constexpr int64_t kLongestQuiet = 2'500'000;  // microseconds without anything to publish
 
 using RowMajor3 = Eigen::Matrix<double, 3, 3, Eigen::RowMajor>;
 using RowMajor6 = Eigen::Matrix<double, 6, 6, Eigen::RowMajor>;
@@ -79,6 +82,8 @@ FusionService::FusionService(Node& node, const std::filesystem::path& config_fol
   node_.subscribe<map_fix_t>(channel::kMapFix, Delivery::kAll, [this](const map_fix_t& m) { on_fix(m); });
   node_.subscribe<compass_t>(channel::kCompass, Delivery::kAll, [this](const compass_t& m) { on_compass(m); });
   node_.subscribe<imu_t>(channel::kImu, Delivery::kAll, [this](const imu_t& m) { on_imu(m); });
+  for (const char* channel : {channel::kVioState, channel::kCompass, channel::kImu}) node_.expect(channel);
+  node_.every(kWatchPeriod, [this] { watch(); });
 }
 
 void FusionService::on_state(const vio_state_t& message) {
@@ -119,7 +124,30 @@ void FusionService::on_imu(const imu_t& message) {
                           "IMU samples refused: look at the health of ingest");
   }
   if (carried.outcome == Outcome::kUsed) newest_imu_utime_ = sample.utime;
-  if (carried.solution) publish(*carried.solution);
+  if (!carried.solution) return;
+  const bool changed = !last_ || last_->mode != carried.solution->mode;
+  publish(*carried.solution);
+  if (changed) report_mode(*carried.solution);
+}
+
+// Who has neither odometry nor inertial sensor, or only that for too long, has no position, and it is said: silence may
+// be anything.
+void FusionService::watch() {
+  if (!std::exchange(quiet_, true)) {
+    quiet_since_ = node_.steady_now();
+    return;
+  }
+  // Not counted in calls: after a stopped process goes on, several come before the messages that wait.
+  const int64_t quiet = node_.steady_now() - quiet_since_;
+  if (quiet < kLongestQuiet || !last_ || !last_->located()) return;
+  Solution lost;
+  lost.utime = last_->utime + quiet;
+  lost.mode = Mode::kLost;
+  lost.session = last_->session;
+  lost.inertial = true;
+  lost.reset_counter = last_->reset_counter;
+  send(lost);
+  node_.health().set_state(Health::State::kFailed, "the position is lost: no odometry, and nothing to carry it on");
 }
 
 void FusionService::on_compass(const compass_t& message) {
@@ -138,6 +166,12 @@ void FusionService::remember() {
 }
 
 void FusionService::publish(const Solution& solution) {
+  send(solution);
+  last_ = solution;
+  quiet_ = false;
+}
+
+void FusionService::send(const Solution& solution) {
   nav_state_t nav = message_of(solution);
   nav.height_above_ground = height_above_ground_;
   nav.processing_ms = solve_ms_;

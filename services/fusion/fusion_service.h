@@ -2,6 +2,7 @@
 #pragma once
 
 #include <filesystem>
+#include <optional>
 
 #include "common/bus/keyframe_repeats.h"
 #include "common/bus/node.h"
@@ -28,7 +29,9 @@ class FusionService final : public Service {
   void on_compass(const compass_t& message);
   void on_imu(const imu_t& message);
   void publish(const Solution& solution);
+  void send(const Solution& solution);
   void report_mode(const Solution& solution);
+  void watch();
   void remember();
 
   Node& node_;
@@ -41,6 +44,9 @@ class FusionService final : public Service {
   KeyframeRepeats repeats_;
   int last_keyframe_id_ = -1;
   double solve_ms_ = 0.0;
+  std::optional<Solution> last_;  // published
+  bool quiet_ = false;            // nothing was published since watch() last looked
+  int64_t quiet_since_ = 0;       // steady time of that look
 };
 
 }  // namespace orthonav::fusion

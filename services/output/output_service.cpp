@@ -42,6 +42,7 @@ OutputService::OutputService(Node& node, const std::filesystem::path& config_fol
   }
   node_.health().set_state(Health::State::kStarting, "waiting for NAV_STATE");
   node_.subscribe<nav_state_t>(channel::kNavState, Delivery::kAll, [this](const nav_state_t& nav) { on_nav(nav); });
+  node_.expect(channel::kNavState);
 }
 
 void OutputService::on_nav(const nav_state_t& nav) {
@@ -49,13 +50,17 @@ void OutputService::on_nav(const nav_state_t& nav) {
     node_.health().reject(fmt::format("nav.{}", why), "NAV_STATE refused: is there a second publisher?");
     return;
   }
-  node_.health().set_state(Health::State::kOk);
   // States at the images' times come late among those of the inertial sensor: a reader wants time to move forward.
   const auto period = static_cast<int64_t>(1e6 / options_.rate_hz);
   const bool restarted = nav.utime < newest_ - 10'000'000;
   if (!restarted && nav.utime < newest_ + period) return;
   newest_ = nav.utime;
   const Report report = report_of(nav);
+  if (report.quality == Quality::kNone) {
+    node_.health().set_state(Health::State::kDegraded, "NAV_STATE has no position, and the sentences say so");
+  } else {
+    node_.health().set_state(Health::State::kOk);
+  }
   const std::string text = rmc(report, options_.nmea) + gga(report, options_.nmea) + gst(report, options_.nmea);
   for (const Output& output : outputs_) {
     if (output.sink->write(text)) {

@@ -177,6 +177,36 @@ TEST_F(FusionOnABus, AFloodOfAbsurdMessagesMovesNothingAndIsNotAnswered) {
   EXPECT_LT((p - flight_.truth.back()).norm(), 8.0);
 }
 
+TEST_F(FusionOnABus, SaysThatThePositionIsLostWhenNothingCarriesItOn) {
+  flight_ = make_flight({.duration = 20.0, .single_wrong_rate = 0.0, .imu = true}, 1);
+  const size_t half = flight_.steps.size() / 2;
+  fly(0, half);
+  ASSERT_EQ(heard_.states.back().mode, +nav_state_t::MAP_AIDED);
+  const nav_state_t last = heard_.states.back();
+  const size_t before = heard_.states.size();
+  const auto pass = [&](int64_t from, int64_t to) {
+    for (int64_t t = from; t <= to; t += 100'000) node_->advance(last.utime + t);
+    while (bus_.handleTimeout(0) > 0) {
+    }
+  };
+  pass(0, 2'000'000);
+  EXPECT_EQ(heard_.states.size(), before) << "a pause is no loss";
+  pass(2'100'000, 10'000'000);
+  ASSERT_GT(heard_.states.size(), before + 5) << "and it is said again";
+  for (size_t k = before; k < heard_.states.size(); ++k) {
+    const nav_state_t& lost = heard_.states[k];
+    EXPECT_EQ(lost.mode, +nav_state_t::LOST);
+    EXPECT_TRUE(std::isnan(lost.latitude_deg) && std::isnan(lost.covariance[0]) && std::isnan(lost.p_G_B[0]));
+    EXPECT_EQ(lost.reset_counter, last.reset_counter);
+    EXPECT_GT(lost.utime, heard_.states[k - 1].utime);
+  }
+  EXPECT_NEAR(1e-6 * static_cast<double>(heard_.states.back().utime - last.utime), 10, 1.1);
+  EXPECT_EQ(node_->health().state(), Health::State::kFailed);
+  fly(half, flight_.steps.size());
+  EXPECT_EQ(heard_.states.back().mode, +nav_state_t::MAP_AIDED);
+  EXPECT_EQ(node_->health().state(), Health::State::kOk);
+}
+
 TEST_F(FusionOnABus, AnotherServiceGoesOnFromItsMemory) {
   const test::TemporaryFolder folder;
   const auto config = std::filesystem::path(ORTHONAV_SOURCE) / "config/quick";
