@@ -15,6 +15,7 @@ constexpr int64_t kProvenAfter = 20'000'000;  // microseconds of flight
 constexpr int64_t kStampProof = 500'000;      // microseconds, in which stamps prove themselves against others
 constexpr int64_t kLongestPause = 2'000'000;  // microseconds, of camera and altimeter, after which they have to
 constexpr int64_t kResetPause = 5'000'000;    // microseconds between resets that are asked for
+constexpr int64_t kImuKept = 10'000'000;      // microseconds: no session outlives a camera that is away for so long
 constexpr int64_t kStepBack = 200'000;        // microseconds: more than the time offset may move
 
 ImuSample interpolate(const ImuSample& a, const ImuSample& b, int64_t utime) {
@@ -70,6 +71,7 @@ void Vio::feed_imu(const ImuSample& sample) {
     std::erase_if(imu_, [&](const ImuSample& old) { return old.utime >= taken.samples.front().utime; });
   }
   imu_.insert(imu_.end(), taken.samples.begin(), taken.samples.end());
+  while (!imu_.empty() && imu_.back().utime - imu_.front().utime > kImuKept) imu_.pop_front();
 }
 
 void Vio::feed_altitude(int64_t utime, double height, double stddev) {

@@ -68,7 +68,8 @@ VioService::VioService(Node& node, const VioSetup& setup, std::filesystem::path 
     node_.subscribe<nav_state_t>(channel::kNavState, Delivery::kAll,
                                  [this](const nav_state_t& message) { on_nav(message); });
   }
-  if (node_.live()) node_.every(kRepeatKeyframe, [this] { repeat_keyframe(); });  // a replay loses nothing
+  node_.every(kRepeatKeyframe, [this] { repeat_keyframes(); });
+  for (const char* channel : {channel::kImu, channel::kCamera}) node_.expect(channel);
   node_.health().set_state(Health::State::kStarting, "waiting for IMU and CAMERA");
 }
 
@@ -201,8 +202,10 @@ void VioService::publish_keyframe(const VioOutput& output) {
   const auto is_its_own = [&](const image_t& image) { return image.utime == keyframe.utime; };
   const auto image = std::find_if(images_.begin(), images_.end(), is_its_own);
   if (image == images_.end()) node_.health().add("keyframes.without_image");
-  to_repeat_ = {std::move(message), image == images_.end() ? std::vector<keyframe_image_t>{} : parts_of(*image)};
-  publish(*to_repeat_);
+  KeyframeMessages messages{std::move(message),
+                            image == images_.end() ? std::vector<keyframe_image_t>{} : parts_of(*image)};
+  publish(messages);
+  if (node_.live()) to_repeat_.push_back(std::move(messages));  // a replay loses nothing
 }
 
 void VioService::publish(const KeyframeMessages& messages) {
@@ -210,12 +213,12 @@ void VioService::publish(const KeyframeMessages& messages) {
   for (const keyframe_image_t& part : messages.image) node_.publish(channel::kKeyframeImage, part);
 }
 
-void VioService::repeat_keyframe() {
-  if (!to_repeat_) return;
-  if (std::exchange(to_repeat_->waited, true)) {
-    publish(*to_repeat_);
-    to_repeat_.reset();
+void VioService::repeat_keyframes() {
+  while (!to_repeat_.empty() && to_repeat_.front().waited) {
+    publish(to_repeat_.front());
+    to_repeat_.pop_front();
   }
+  for (KeyframeMessages& messages : to_repeat_) messages.waited = true;
 }
 
 void VioService::update_health(const VioOutput& output) {

@@ -47,7 +47,7 @@ class VioService final : public Service {
   void publish_state(const VioOutput& output, double processing_ms);
   void publish_keyframe(const VioOutput& output);
   void publish(const KeyframeMessages& messages);
-  void repeat_keyframe();
+  void repeat_keyframes();
   void update_health(const VioOutput& output);
   void report_rejects();
 
@@ -56,8 +56,8 @@ class VioService final : public Service {
   Vio vio_;
   ScaleHinter hinter_;
   MissedImages missed_images_;
-  std::deque<image_t> images_;                 // until the odometry has said whether they are of keyframes
-  std::optional<KeyframeMessages> to_repeat_;  // once more, for who missed it
+  std::deque<image_t> images_;              // until the odometry has said whether they are of keyframes
+  std::deque<KeyframeMessages> to_repeat_;  // once more, for who missed them
   std::filesystem::path memory_file_;
   std::map<std::string, double> reported_;  // rejects already shown in the health
   int announced_session_ = 0;
