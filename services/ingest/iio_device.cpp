@@ -109,9 +109,14 @@ void IioDevice::set_up() {
       ensure(folder_ / file, fmt::format("{}", options_.rate_hz));
     }
   }
-  ensure(enable, "1");
   const auto stamps = folder_ / "current_timestamp_clock";
-  monotonic_ = std::filesystem::exists(stamps) && read_line(stamps).starts_with("monotonic");
+  const std::string clock = std::filesystem::exists(stamps) ? read_line(stamps) : "realtime";
+  monotonic_ = clock == "monotonic" || clock == "monotonic_coarse";
+  if (!monotonic_ && !clock.starts_with("realtime")) {
+    throw std::runtime_error(
+        fmt::format("{}: stamps by '{}', which says nothing here: write monotonic into it", stamps.string(), clock));
+  }
+  ensure(enable, "1");
 }
 
 void IioDevice::open() {

@@ -1,6 +1,8 @@
 #include "services/ingest/sensor_service.h"
 
 #include <algorithm>
+#include <cmath>
+#include <string>
 
 #include <fmt/format.h>
 #include <spdlog/spdlog.h>
@@ -14,6 +16,16 @@ namespace {
 
 constexpr std::chrono::milliseconds kPublishPeriod{1};
 constexpr std::chrono::milliseconds kWatchPeriod{100};
+// Seconds: a camera behind a network is some late, and no sensor is early but by what its clock was set by.
+constexpr double kLatest = 5, kEarliest = 0.1;
+
+// What is wrong with a stamp that comes now; empty when it may be right. In doubles, for a stamp may be anything.
+std::string clock_fault(int64_t utime, int64_t now) {
+  const double late = 1e-6 * (static_cast<double>(now) - static_cast<double>(utime));
+  if (late <= kLatest && late >= -kEarliest) return {};
+  return fmt::format("stamped {:.1f} s {} this board's clock (as it was when ingest was started)", std::abs(late),
+                     late > 0 ? "behind" : "ahead of");
+}
 
 }  // namespace
 
@@ -38,6 +50,9 @@ void SensorService::publish_what_came() {
     const auto found = event.message ? watches_.find(channel_of(*event.message)) : watches_.end();
     if (found == watches_.end()) {
       publish_checked(node_, validator_, compass_, event);
+    } else if (std::string fault = clock_fault(utime_of(*event.message), now); !fault.empty()) {
+      node_.health().add("rejected." + found->first + ".clock");
+      found->second.judged(fault, now);
     } else if (found->second.frozen(*event.message, now)) {
       node_.health().add("rejected." + found->first + ".frozen");
       found->second.judged("the very same reading again and again", now);

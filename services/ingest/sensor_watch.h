@@ -15,7 +15,7 @@ class SensorWatch {
   explicit SensorWatch(std::string channel, double silence = 0.5) : channel_(std::move(channel)), silence_(silence) {}
 
   // A message came at `now` (microseconds, of a clock that does not jump). Says whether the sensor is frozen: an IMU
-  // that reads the very same on all axes for 0.3 s, or a camera that shows the very same for 1 s (and 10 images),
+  // that reads the very same on all axes for 0.3 s, or a camera that shows the very same for 0.8 s (and 4 images),
   // measures nothing.
   bool frozen(const SensorMessage& message, int64_t now);
   // What became of it: `fault` is what was wrong with it, empty when it was published.

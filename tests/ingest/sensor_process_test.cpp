@@ -5,6 +5,7 @@
 #include <cstring>
 #include <filesystem>
 #include <fstream>
+#include <map>
 #include <optional>
 
 #include <arpa/inet.h>
@@ -41,9 +42,9 @@ using test::Collector;
 using testing::HasSubstr;
 namespace fs = std::filesystem;
 
-int64_t wall_time() {  // microseconds
+int64_t time_of(clockid_t clock) {  // microseconds
   timespec time{};
-  clock_gettime(CLOCK_REALTIME, &time);
+  clock_gettime(clock, &time);
   return int64_t{time.tv_sec} * 1'000'000 + time.tv_nsec / 1000;
 }
 
@@ -108,7 +109,7 @@ TEST_F(SensorsOfABoard, AVideoFileIsPlayedAtItsOwnTimesAndEndsTheService) {
                           {64, 48});
     for (int i = 0; i < 30; ++i) video.write(picture(i));
   }
-  const int64_t before = wall_time();
+  const int64_t before = time_of(CLOCK_REALTIME);
   start(fmt::format("camera:\n  source: {}\n  jpeg_quality: 0\n", (folder_ / "flight.avi").string()));
   ASSERT_TRUE(test::handle_until(bus_, [&] { return camera_.messages.size() == 30; }));
   EXPECT_EQ(ingest_->wait_exit(test::kPatience), 0);
@@ -121,7 +122,7 @@ TEST_F(SensorsOfABoard, AVideoFileIsPlayedAtItsOwnTimesAndEndsTheService) {
     ASSERT_EQ(image.size, 64 * 48);
     EXPECT_NEAR(image.data[1000], 5.0 * static_cast<double>(i), 3);
   }
-  EXPECT_GT(wall_time() - before, 29 * 50'000) << "as fast as it was filmed";
+  EXPECT_GT(time_of(CLOCK_REALTIME) - before, 29 * 50'000) << "as fast as it was filmed";
 }
 
 // A camera that serves MJPEG over HTTP, as they do: one client, pictures on demand.
@@ -173,7 +174,7 @@ TEST_F(SensorsOfABoard, ANetworkCameraThatGoesIsReportedWithinASecondAndPickedUp
   const auto show = [&] { camera.show(); };
   ASSERT_TRUE(play_until(show, [&] { return camera_.messages.size() > 20 && sound(); })) << last_message();
   EXPECT_EQ(camera_.messages.back().pixelformat, image_t::PIXEL_FORMAT_MJPEG);
-  EXPECT_NEAR(static_cast<double>(wall_time() - camera_.messages.back().utime), 0, 1e6);
+  EXPECT_NEAR(static_cast<double>(time_of(CLOCK_REALTIME) - camera_.messages.back().utime), 0, 1e6);
   camera.unplug();
   EXPECT_LT(time_until_said("CAMERA: silent"), 1.0);
   const size_t before = camera_.messages.size();
@@ -276,24 +277,33 @@ class IioImu : public SensorsOfABoard {
   void measure() {
     ImuRecord record{};
     ++measured_;
-    record.rate[0] = big_endian(100 + measured_ % 50);
+    record.rate[0] = big_endian(100 + measured_ % kMeasured);
     record.rate[1] = big_endian(-200);
     record.force[2] = big_endian(980);
-    record.time_ns = wall_time() * 1000;
+    // Written some 40 ms after it was measured, at times that no arrival explains.
+    const int64_t late = 40'000 - 977 * (measured_ % 7);
+    record.time_ns = 1000 * (time_of(clock_) - late);
+    stamps_[measured_ % kMeasured] = time_of(CLOCK_REALTIME) - late;
     files_->record(&record, sizeof(record));
+  }
+  // When a sample was measured, by the wall clock.
+  int64_t stamp_of(const imu_t& m) const {
+    return stamps_.at(static_cast<int>(std::lround(-1000 * m.angular_rate[1])) - 100);
   }
   bool flows(size_t more) {
     const size_t before = imu_.messages.size();
     return play_until([this] { measure(); }, [&] { return imu_.messages.size() > before + more && sound(); });
   }
 
+  static constexpr int kMeasured = 5000;
   std::optional<IioFiles> files_;
   int measured_ = 0;
+  clockid_t clock_ = CLOCK_REALTIME;
+  std::map<int, int64_t> stamps_;  // by measured_
 };
 
 TEST_F(IioImu, IsSetUpAndItsRecordsBecomeSamplesWithTheKernelsStamps) {
   start(yaml());
-  const int64_t before = wall_time();
   ASSERT_TRUE(flows(100)) << last_message();
   EXPECT_EQ(files_->text("scan_elements/in_accel_z_en"), "1");
   EXPECT_EQ(files_->text("scan_elements/in_timestamp_en"), "1");
@@ -304,10 +314,31 @@ TEST_F(IioImu, IsSetUpAndItsRecordsBecomeSamplesWithTheKernelsStamps) {
   EXPECT_NEAR(sample.angular_rate[0], -0.2, 1e-9) << "turned into the body's axes";
   EXPECT_LE(sample.angular_rate[1], -0.1);
   EXPECT_NEAR(sample.specific_force[2], 9.81, 1e-9) << "with the axis's offset";
-  for (const imu_t& m : imu_.messages) {
-    EXPECT_GT(m.utime, before - 1000);
-    EXPECT_LT(m.utime, wall_time() + 1000);
-  }
+  for (const imu_t& m : imu_.messages) EXPECT_NEAR(static_cast<double>(m.utime - stamp_of(m)), 0, 500);
+}
+
+TEST_F(IioImu, ThatStampsByTheMonotonicClockIsUnderstood) {
+  clock_ = CLOCK_MONOTONIC;
+  files_->write("current_timestamp_clock", "monotonic");
+  start(yaml());
+  ASSERT_TRUE(flows(100)) << last_message();
+  for (const imu_t& m : imu_.messages) EXPECT_NEAR(static_cast<double>(m.utime - stamp_of(m)), 0, 500);
+}
+
+TEST_F(IioImu, ThatStampsByAClockThatSaysNothingIsRefused) {
+  files_->write("current_timestamp_clock", "boottime");
+  start(yaml());
+  time_until_said("stamps by 'boottime'");
+}
+
+TEST_F(IioImu, WhoseClockIsOfAnotherTimeIsReportedWithinASecondAndKeptOffTheBus) {
+  start(yaml());
+  ASSERT_TRUE(flows(20)) << last_message();
+  clock_ = CLOCK_MONOTONIC;  // since the machine was started, in place of since 1970
+  EXPECT_LT(time_until_said("behind this board's clock", [this] { measure(); }), 1.0);
+  clock_ = CLOCK_REALTIME;
+  ASSERT_TRUE(flows(20)) << last_message();
+  for (const imu_t& m : imu_.messages) EXPECT_NEAR(static_cast<double>(m.utime - stamp_of(m)), 0, 500);
 }
 
 TEST_F(IioImu, ThatStopsOrIsPulledOutIsReportedWithinASecondAndPickedUpAgain) {
