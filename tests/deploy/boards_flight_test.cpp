@@ -11,6 +11,9 @@
 
 #include <gtest/gtest.h>
 
+#include "common/bus/channels.h"
+#include "common/flightlog/flightlog.h"
+#include "orthonav/health_t.hpp"
 #include "tests/playback/flight_fixture.h"
 #include "tests/support/child_process.h"
 #include "tests/support/flight_speed.h"
@@ -25,6 +28,33 @@ using Report = nlohmann::json;
 
 // What fly-boards ends with where network namespaces are refused, and ctest is told.
 constexpr int kNotPermitted = 77;
+
+// What a service says in a recorded log of a sensors' channel that is silent.
+struct Silence {
+  double said_after_s = -1;  // since the last compass reading before, s; negative: it does not say so
+  bool ended = false;        // later it says nothing of the kind
+};
+
+Silence silence_of(const std::filesystem::path& log, const std::string& service) {
+  Silence silence;
+  int64_t last_reading = 0;
+  LogReader reader(log);
+  while (const auto event = reader.next()) {
+    if (event->channel == channel::kCompass) last_reading = event->utime;
+    health_t health;
+    if (event->channel != channel::kHealth ||
+        health.decode(event->data.data(), 0, static_cast<int>(event->data.size())) < 0 || health.service != service) {
+      continue;
+    }
+    const bool says_so =
+        health.state >= health_t::DEGRADED && health.message.find("COMPASS: silent for") != std::string::npos;
+    if (says_so && silence.said_after_s < 0) {
+      silence.said_after_s = 1e-6 * static_cast<double>(event->utime - last_reading);
+    }
+    if (!says_so && silence.said_after_s >= 0) silence.ended = true;
+  }
+  return silence;
+}
 
 class BoardsFlight : public testing::Test {
  protected:
@@ -120,6 +150,13 @@ TEST_F(BoardsFlight, ACablePulledForTenSecondsIsSurvived) {
     EXPECT_LT(rmse(*report), 1.25 * clean);
     EXPECT_EQ((*report)["registration"]["false_fixes"], 0);
     EXPECT_EQ((*report)["vio"]["restarts"], 0);
+  }
+  // Who is cut off from the odometry's board says so, in two seconds and a heartbeat, and flies on.
+  for (const char* service : {"fusion", "registration"}) {
+    const Silence silence = silence_of(folder_ / "odometry's.lcm", service);
+    EXPECT_GE(silence.said_after_s, 0) << service;
+    EXPECT_LE(silence.said_after_s, 5) << service;
+    EXPECT_TRUE(silence.ended) << service;
   }
 }
 

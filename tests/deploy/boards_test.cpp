@@ -1,6 +1,8 @@
 #include "tools/boards/boards.h"
 
 #include <fstream>
+#include <iterator>
+#include <stdexcept>
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
@@ -60,6 +62,25 @@ TEST_F(Boards, AServiceOnTwoBoardsOnNoneOrUnknownIsAnErrorWithItsName) {
 TEST_F(Boards, TheTargetOfABoardWantsItsServices) {
   const std::string unit = target_unit({"eyes", "10.0.0.1", {"ingest", "map_server"}}, "three.yaml");
   EXPECT_THAT(unit, HasSubstr("Wants=orthonav-ingest.service orthonav-map-server.service\n"));
+}
+
+TEST_F(Boards, TheirFirewallIsTheExampleWithTheirAddressesInterfaceAndPort) {
+  const auto deploy = test::source_tree() / "deploy";
+  std::ifstream stream(deploy / "etc" / "orthonav.nft");
+  const std::string example((std::istreambuf_iterator<char>(stream)), std::istreambuf_iterator<char>());
+  EXPECT_EQ(firewall(load(deploy / "boards" / "three.yaml"), "eth0", 7667), example);
+  const std::string other = firewall({{"a", "10.0.0.8", {}}, {"b", "10.0.0.9", {}}}, "can1", 7700);
+  EXPECT_THAT(other, testing::AllOf(HasSubstr("define bus = \"can1\"\n"), HasSubstr("define port = 7700\n"),
+                                    HasSubstr("define boards = { 10.0.0.8, 10.0.0.9 }\n")));
+  EXPECT_THAT(other, testing::Not(testing::AnyOf(HasSubstr("eth0\"\n"), HasSubstr("10.77.0"), HasSubstr("7667"))));
+}
+
+TEST_F(Boards, ThePortOfABusIsTakenFromItsUrl) {
+  EXPECT_EQ(port_of("udpm://239.255.76.67:7700?ttl=1&recv_buf_size=1"), 7700);
+  EXPECT_EQ(port_of("udpm://239.255.76.67:7667"), 7667);
+  for (const char* none : {"memq://", "udpm://239.255.76.67", "udpm://239.255.76.67:http", ""}) {
+    EXPECT_THROW(port_of(none), std::invalid_argument) << none;
+  }
 }
 
 }  // namespace

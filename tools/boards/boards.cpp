@@ -4,11 +4,15 @@
 #include <cctype>
 #include <iterator>
 #include <map>
+#include <regex>
+#include <sstream>
+#include <stdexcept>
 
 #include <fmt/format.h>
 #include <fmt/ranges.h>
 
 #include "common/config/config.h"
+#include "tools/boards/firewall_example.h"
 
 namespace orthonav::boards {
 
@@ -60,6 +64,30 @@ std::string unit_of(const std::string& service) {
   std::string name = fmt::format("orthonav-{}.service", service);
   std::replace(name.begin(), name.end(), '_', '-');
   return name;
+}
+
+std::string firewall(const std::vector<Board>& boards, const std::string& interface, int port) {
+  std::vector<std::string> addresses;
+  std::transform(boards.begin(), boards.end(), std::back_inserter(addresses), [](const Board& b) { return b.address; });
+  std::string text;
+  std::istringstream example(kFirewallExample);
+  for (std::string line; std::getline(example, line);) {
+    if (line.starts_with("define bus = ")) line = fmt::format("define bus = \"{}\"", interface);
+    if (line.starts_with("define boards = "))
+      line = fmt::format("define boards = {{ {} }}", fmt::join(addresses, ", "));
+    if (line.starts_with("define port = ")) line = fmt::format("define port = {}", port);
+    text += line + "\n";
+  }
+  return text;
+}
+
+int port_of(const std::string& url) {
+  static const std::regex kBus("udpm://[0-9.]+:([0-9]{1,5})([?].*)?");
+  std::smatch parts;
+  if (!std::regex_match(url, parts, kBus)) {
+    throw std::invalid_argument(url + ": no bus over UDP: udpm://ADDRESS:PORT?ttl=N");
+  }
+  return std::stoi(parts[1]);
 }
 
 std::string target_unit(const Board& board, const std::filesystem::path& file) {

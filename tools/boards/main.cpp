@@ -7,16 +7,25 @@
 #include <fmt/format.h>
 #include <fmt/ranges.h>
 
+#include "common/bus/node.h"
 #include "tools/boards/boards.h"
 
 int main(int argc, char** argv) {
-  CLI::App app{
-      "Reads which service runs on which board. Without --targets: one line a board, with address and services."};
+  CLI::App app{"Reads which service runs on which board. Alone it prints one line a board, with address and services."};
   std::filesystem::path file, folder;
+  std::string interface;
   app.add_option("file", file, "e.g. /usr/share/orthonav/boards/three.yaml")->required()->check(CLI::ExistingFile);
   app.add_option("--targets", folder, "write orthonav-BOARD.target for each board into this folder");
+  app.add_option("--firewall", interface,
+                 "print the boards' firewall for nft; the interface between them, and the port of LCM_DEFAULT_URL")
+      ->excludes("--targets");
   CLI11_PARSE(app, argc, argv);
   try {
+    if (!interface.empty()) {
+      const int port = orthonav::boards::port_of(orthonav::bus_url({.service = "boards"}));
+      fmt::print("{}", orthonav::boards::firewall(orthonav::boards::load(file), interface, port));
+      return 0;
+    }
     for (const auto& board : orthonav::boards::load(file)) {
       if (folder.empty()) {
         fmt::print("{} {} {}\n", board.name, board.address, fmt::join(board.services, " "));
