@@ -78,7 +78,8 @@ TEST_F(Boards, TheirFirewallIsTheExampleWithTheirAddressesInterfaceAndPort) {
 TEST_F(Boards, ThePortOfABusIsTakenFromItsUrl) {
   EXPECT_EQ(port_of("udpm://239.255.76.67:7700?ttl=1&recv_buf_size=1"), 7700);
   EXPECT_EQ(port_of("udpm://239.255.76.67:7667"), 7667);
-  for (const char* none : {"memq://", "udpm://239.255.76.67", "udpm://239.255.76.67:http", ""}) {
+  for (const char* none : {"memq://", "udpm://239.255.76.67", "udpm://239.255.76.67:http", "udpm://239.255.76.67:7667x",
+                           "udpm://239.255.76.67:70000", ""}) {
     EXPECT_THROW(port_of(none), std::invalid_argument) << none;
   }
 }

@@ -2,9 +2,9 @@
 
 #include <algorithm>
 #include <cctype>
+#include <charconv>
 #include <iterator>
 #include <map>
-#include <regex>
 #include <sstream>
 #include <stdexcept>
 
@@ -82,12 +82,16 @@ std::string firewall(const std::vector<Board>& boards, const std::string& interf
 }
 
 int port_of(const std::string& url) {
-  static const std::regex kBus("udpm://[0-9.]+:([0-9]{1,5})([?].*)?");
-  std::smatch parts;
-  if (!std::regex_match(url, parts, kBus)) {
-    throw std::invalid_argument(url + ": no bus over UDP: udpm://ADDRESS:PORT?ttl=N");
+  const std::string scheme = "udpm://";
+  const size_t colon = url.find(':', scheme.size());
+  int port = 0;
+  if (url.starts_with(scheme) && colon != std::string::npos) {
+    const char* end = url.data() + url.size();
+    const auto read = std::from_chars(url.data() + colon + 1, end, port);
+    if (read.ptr != end && *read.ptr != '?') port = 0;
   }
-  return std::stoi(parts[1]);
+  if (port <= 0 || port > 65535) throw std::invalid_argument(url + ": no bus over UDP: udpm://ADDRESS:PORT?ttl=N");
+  return port;
 }
 
 std::string target_unit(const Board& board, const std::filesystem::path& file) {
