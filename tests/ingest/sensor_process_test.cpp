@@ -385,7 +385,7 @@ TEST_F(SensorsOfABoard, LinesOverUdpWithGarbageBetweenThemBecomeSamplesWithTheSe
   address.sin_family = AF_INET;
   address.sin_addr.s_addr = htonl(INADDR_LOOPBACK);
   address.sin_port = htons(14600);
-  connect(fd, reinterpret_cast<sockaddr*>(&address), sizeof(address));
+  ASSERT_EQ(connect(fd, reinterpret_cast<sockaddr*>(&address), sizeof(address)), 0);
   start("lines:\n  port: udp://127.0.0.1:14600\n  channels: [IMU, MAGNETOMETER, COMPASS]\n");
   int number = 0;
   const auto speak = [&] {
