@@ -40,7 +40,7 @@ constexpr int64_t kLargestTimerLag = 10'000'000;           // microseconds of re
 constexpr int64_t kSilence = 2'000'000;                    // microseconds without a message that is expected
 constexpr size_t kMostWaiting = size_t{64} << 20;          // bytes of messages that wait to be handled
 constexpr size_t kLongestName = 64;                        // of a host or a service
-constexpr size_t kLongestMessage = 300;                    // of a heartbeat
+constexpr size_t kLongestMessage = 1000;                   // of a heartbeat, which stays one packet
 
 std::atomic<bool> g_signalled{false};
 std::atomic<bool> g_stopwatch_in_replay{false};
@@ -512,6 +512,9 @@ std::string Node::silence() const {
   for (const auto& subscription : impl_->subscriptions) {
     const int64_t silent = steady_now() - subscription->handled_at;
     if (!live() || !subscription->expected || subscription->handled_at == 0 || silent < kSilence) continue;
+    // Who was held up himself has no silence to complain of.
+    const std::lock_guard lock(impl_->queue_mutex);
+    if (subscription->waiting > 0) continue;
     message += fmt::format("{}{}: silent for {:.0f} s", message.empty() ? "" : "; ", subscription->channel,
                            1e-6 * static_cast<double>(silent));
   }

@@ -133,13 +133,13 @@ void FusionService::on_imu(const imu_t& message) {
 // Who has neither odometry nor inertial sensor, or only that for too long, has no position, and it is said: silence may
 // be anything.
 void FusionService::watch() {
-  if (!std::exchange(quiet_, true)) {
-    quiet_since_ = node_.steady_now();
-    return;
-  }
-  // Not counted in calls: after a stopped process goes on, several come before the messages that wait.
-  const int64_t quiet = node_.steady_now() - quiet_since_;
-  if (quiet < kLongestQuiet || !last_ || !last_->located()) return;
+  // After a stopped process goes on, several looks come before the messages that wait.
+  const int64_t now = node_.steady_now();
+  const bool stopped = now - std::exchange(looked_at_, now) > 2 * std::chrono::microseconds(kWatchPeriod).count();
+  if (!std::exchange(quiet_, true) || stopped) quiet_since_ = now;
+  const int64_t quiet = now - quiet_since_;
+  if (quiet < kLongestQuiet || !ever_located_) return;
+  height_above_ground_ = kUnknown;
   Solution lost;
   lost.utime = last_->utime + quiet;
   lost.mode = Mode::kLost;
@@ -168,6 +168,7 @@ void FusionService::remember() {
 void FusionService::publish(const Solution& solution) {
   send(solution);
   last_ = solution;
+  ever_located_ = ever_located_ || solution.located();
   quiet_ = false;
 }
 

@@ -45,8 +45,10 @@ class FusionService final : public Service {
   int last_keyframe_id_ = -1;
   double solve_ms_ = 0.0;
   std::optional<Solution> last_;  // published
-  bool quiet_ = false;            // nothing was published since watch() last looked
-  int64_t quiet_since_ = 0;       // steady time of that look
+  bool ever_located_ = false;
+  bool quiet_ = false;       // nothing was published since watch() last looked
+  int64_t looked_at_ = 0;    // steady time of that look
+  int64_t quiet_since_ = 0;  // of the first that found nothing
 };
 
 }  // namespace orthonav::fusion

@@ -85,7 +85,8 @@ RegistrationService::RegistrationService(Node& node, const Setup& setup)
   node_.subscribe<map_tile_t>(channel::kMapTile, Delivery::kAll, [this](const map_tile_t& tile) { handle(tile); });
   node_.subscribe<nav_state_t>(channel::kNavState, Delivery::kReplace,
                                [this](const nav_state_t& state) { handle(state); });
-  for (const char* channel : {channel::kCamera, channel::kCompass}) node_.expect(channel);
+  node_.expect(
+      channel::kCompass);  // of CAMERA few images come where packets are lost, and keyframes as the flight has it
   node_.every(std::chrono::milliseconds(options_.request_period_ms), [this] { request_tiles(); });
   node_.every(std::chrono::seconds(1), [this] { report_state(); });
   report_state();

@@ -48,9 +48,8 @@ Silence silence_of(const std::filesystem::path& log, const std::string& service)
     }
     const bool says_so =
         health.state >= health_t::DEGRADED && health.message.find("COMPASS: silent for") != std::string::npos;
-    if (says_so && silence.said_after_s < 0) {
-      silence.said_after_s = 1e-6 * static_cast<double>(event->utime - last_reading);
-    }
+    const double silent = 1e-6 * static_cast<double>(event->utime - last_reading);
+    if (says_so && silence.said_after_s < 0 && silent > 1.9) silence.said_after_s = silent;
     if (!says_so && silence.said_after_s >= 0) silence.ended = true;
   }
   return silence;

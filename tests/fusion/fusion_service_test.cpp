@@ -197,6 +197,7 @@ TEST_F(FusionOnABus, SaysThatThePositionIsLostWhenNothingCarriesItOn) {
     const nav_state_t& lost = heard_.states[k];
     EXPECT_EQ(lost.mode, +nav_state_t::LOST);
     EXPECT_TRUE(std::isnan(lost.latitude_deg) && std::isnan(lost.covariance[0]) && std::isnan(lost.p_G_B[0]));
+    EXPECT_TRUE(std::isnan(lost.height_above_ground));
     EXPECT_EQ(lost.reset_counter, last.reset_counter);
     EXPECT_GT(lost.utime, heard_.states[k - 1].utime);
   }
@@ -205,6 +206,22 @@ TEST_F(FusionOnABus, SaysThatThePositionIsLostWhenNothingCarriesItOn) {
   fly(half, flight_.steps.size());
   EXPECT_EQ(heard_.states.back().mode, +nav_state_t::MAP_AIDED);
   EXPECT_EQ(node_->health().state(), Health::State::kOk);
+}
+
+TEST_F(FusionOnABus, SaysThatThePositionIsLostAlsoWhenItsLastAnswerHadNone) {
+  fly(0, flight_.steps.size() / 2);
+  ASSERT_EQ(heard_.states.back().mode, +nav_state_t::MAP_AIDED);
+  vio_state_t begins_anew{};
+  begins_anew.utime = heard_.states.back().utime + 100'000;
+  begins_anew.session = heard_.states.back().session + 1;
+  begins_anew.status = vio_state_t::INITIALISING;
+  publish(channel::kVioState, begins_anew);
+  ASSERT_TRUE(std::isnan(heard_.states.back().latitude_deg));
+  for (int64_t t = 0; t <= 5'000'000; t += 100'000) node_->advance(begins_anew.utime + t);
+  while (bus_.handleTimeout(0) > 0) {
+  }
+  EXPECT_EQ(heard_.states.back().mode, +nav_state_t::LOST);
+  EXPECT_GT(heard_.states.back().utime, begins_anew.utime + 2'500'000);
 }
 
 TEST_F(FusionOnABus, AnotherServiceGoesOnFromItsMemory) {

@@ -22,7 +22,9 @@ int main(int argc, char** argv) {
   CLI11_PARSE(app, argc, argv);
   try {
     if (!interface.empty()) {
-      const int port = orthonav::boards::port_of(orthonav::bus_url({.service = "boards"}));
+      const std::string url = orthonav::bus_url({.service = "boards"});
+      const int port = orthonav::boards::port_of(url);
+      fmt::print(stderr, "for the bus at port {} (LCM_DEFAULT_URL)\n", port);
       fmt::print("{}", orthonav::boards::firewall(orthonav::boards::load(file), interface, port));
       return 0;
     }
