@@ -40,7 +40,7 @@ constexpr int64_t kLargestTimerLag = 10'000'000;           // microseconds of re
 constexpr int64_t kSilence = 2'000'000;                    // microseconds without a message that is expected
 constexpr size_t kMostWaiting = size_t{64} << 20;          // bytes of messages that wait to be handled
 constexpr size_t kLongestName = 64;                        // of a host or a service
-constexpr size_t kLongestMessage = 1000;                   // of a heartbeat, which stays one packet
+constexpr size_t kLongestMessage = 1000;                   // of a heartbeat
 
 std::atomic<bool> g_signalled{false};
 std::atomic<bool> g_stopwatch_in_replay{false};

@@ -48,7 +48,8 @@ std::string bus_url(const NodeOptions& options);
 // Joins it. Throws std::runtime_error naming the URL when that cannot be done, or what is sent does not come back.
 std::unique_ptr<lcm::LCM> join_bus(const NodeOptions& options);
 
-// What happens to messages that arrive faster than they are handled.
+// What happens to messages that arrive faster than they are handled. When 64 MB wait in a node, what comes is given up
+// and counted, of whatever kind.
 enum class Delivery {
   kAll,      // all, in order: IMU, keyframes, fixes
   kLatest,   // at most `depth` wait; the oldest is given up and counted: images
