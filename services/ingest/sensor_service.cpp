@@ -18,6 +18,7 @@ constexpr std::chrono::milliseconds kPublishPeriod{1};
 constexpr std::chrono::milliseconds kWatchPeriod{100};
 // Seconds: a camera behind a network is some late, and no sensor is early but by what its clock was set by.
 constexpr double kLatest = 5, kEarliest = 0.1;
+constexpr double kLongestStep = 0.1;  // s from sample to sample; over a longer one the turn is not known
 
 // What is wrong with a stamp that comes now; empty when it may be right. In doubles, for a stamp may be anything.
 std::string clock_fault(int64_t utime, int64_t now) {
@@ -47,20 +48,29 @@ void SensorService::publish_what_came() {
   for (const auto& reader : readers_) reader->take(events_);
   const int64_t now = clock_.now();
   for (const SensorEvent& event : events_) {
+    std::string fault;
     const auto found = event.message ? watches_.find(channel_of(*event.message)) : watches_.end();
     if (found == watches_.end()) {
       publish_checked(node_, validator_, compass_, event);
-    } else if (std::string fault = clock_fault(utime_of(*event.message), now); !fault.empty()) {
+    } else if (fault = clock_fault(utime_of(*event.message), now); !fault.empty()) {
       node_.health().add("rejected." + found->first + ".clock");
-      found->second.judged(fault, now);
-    } else if (found->second.frozen(*event.message, now)) {
+      found->second.judged(*event.message, fault, now);
+    } else if (found->second.frozen(*event.message, now, yaw_)) {
       node_.health().add("rejected." + found->first + ".frozen");
-      found->second.judged("the very same reading again and again", now);
+      found->second.judged(*event.message, "the very same reading again and again", now);
     } else {
-      found->second.judged(publish_checked(node_, validator_, compass_, event), now);
+      fault = publish_checked(node_, validator_, compass_, event);
+      found->second.judged(*event.message, fault, now);
+      if (const auto* imu = std::get_if<imu_t>(&*event.message); imu != nullptr && fault.empty()) turn(*imu);
     }
   }
   if (ended) node_.stop();
+}
+
+void SensorService::turn(const imu_t& imu) {
+  const double elapsed = 1e-6 * static_cast<double>(imu.utime - imu_utime_);
+  if (elapsed > 0 && elapsed < kLongestStep) yaw_ += elapsed * imu.angular_rate[2];
+  imu_utime_ = imu.utime;
 }
 
 void SensorService::watch() {

@@ -1,7 +1,8 @@
 // Puts the sensors of this board on the bus as they measure: validates, watches, publishes, reports.
 //
-// A sensor that stops, is refused or freezes makes the service DEGRADED within silence_s (0.5 s by default) and a
-// tenth, naming the channel and the device's trouble, and OK again as soon as it is back; no other sensor waits for it.
+// A sensor that stops, is refused, freezes, slows down or measures what no aircraft does (sensor_watch.h) makes the
+// service DEGRADED within a second (silence: silence_s and a tenth), naming the channel and the device's trouble, and
+// OK again as soon as it is back; no other sensor waits for it.
 #pragma once
 
 #include <filesystem>
@@ -25,6 +26,7 @@ class SensorService : public Service {
 
  private:
   void publish_what_came();
+  void turn(const imu_t& imu);  // adds to yaw_
   void watch();
 
   Node& node_;
@@ -34,6 +36,8 @@ class SensorService : public Service {
   std::map<std::string, SensorWatch> watches_;  // by channel
   std::vector<std::unique_ptr<DeviceReader>> readers_;
   std::vector<SensorEvent> events_;
+  double yaw_ = 0;  // rad, integrated, from any start
+  int64_t imu_utime_ = 0;
   std::string complaint_;
 };
 

@@ -1,7 +1,10 @@
 #include "services/ingest/sensor_watch.h"
 
 #include <algorithm>
+#include <cmath>
+#include <limits>
 #include <string_view>
+#include <vector>
 
 #include <fmt/format.h>
 
@@ -9,50 +12,73 @@ namespace orthonav::ingest {
 
 namespace {
 
-constexpr int64_t kWindow = 500'000;        // microseconds over which refusals are counted
+constexpr int64_t kWindow = 800'000;        // microseconds over which messages are counted
 constexpr double kTolerableRefusals = 0.1;  // of the messages in the window
 // For how long, in microseconds, and in how many readings a sensor may say the very same: reported within a second.
 constexpr int64_t kFrozenImu = 300'000, kFrozenCamera = 800'000;
 constexpr int kFrozenSamples = 10, kFrozenImages = 4;
+// A turn that no compass can miss, rad, within a time in which no gyroscope's bias makes it.
+constexpr double kSeenTurn = 0.35;
+constexpr int64_t kTurnTime = 4'000'000;
+// A sensor is slow below so much of its usual rate, and no longer slow above so much of it. The usual one is the median
+// of so many windows; of fewer messages in each than kFewestUsual, silence says enough.
+constexpr double kSlow = 0.4, kNotSlow = 0.5;
+constexpr size_t kUsualWindows = 25, kFewestWindows = 5, kFewestUsual = 4;
 
 std::string_view bytes_of(const void* data, size_t size) {
   return {static_cast<const char*>(data), size};
 }
 
 struct Reading {
-  size_t hash;
-  int64_t longest;  // microseconds for which it may stay the same; 0: for ever
-  int most;         // readings that may be the same
+  size_t hash = 0;
+  int64_t longest = 0;  // microseconds for which it may stay the same; 0: until the board turns
+  int most = 0;         // readings that may be the same
+  bool turns = false;   // with the board
 };
 
-// A compass at rest may well repeat itself, so only what has noise in its last digits is judged.
+// A compass at rest may well repeat itself; an IMU and a camera have noise in their last digits.
 Reading reading_of(const SensorMessage& message) {
   const std::hash<std::string_view> hash;
   if (const auto* imu = std::get_if<imu_t>(&message)) {
     return {hash(bytes_of(imu->angular_rate, sizeof(imu->angular_rate))) * 31 +
                 hash(bytes_of(imu->specific_force, sizeof(imu->specific_force))),
-            kFrozenImu, kFrozenSamples};
+            kFrozenImu, kFrozenSamples, false};
   }
   if (const auto* image = std::get_if<image_t>(&message))
-    return {hash(bytes_of(image->data.data(), image->data.size())), kFrozenCamera, kFrozenImages};
-  return {0, 0, 0};
+    return {hash(bytes_of(image->data.data(), image->data.size())), kFrozenCamera, kFrozenImages, false};
+  if (const auto* magnetometer = std::get_if<magnetometer_t>(&message))
+    return {hash(bytes_of(magnetometer->field, sizeof(magnetometer->field))), 0, 0, true};
+  if (const auto* compass = std::get_if<compass_t>(&message))
+    return {hash(bytes_of(&compass->heading, sizeof(compass->heading))), 0, 0, true};
+  return {};
 }
 
 }  // namespace
 
-bool SensorWatch::frozen(const SensorMessage& message, int64_t now) {
+bool SensorWatch::frozen(const SensorMessage& message, int64_t now, double yaw) {
   const Reading reading = reading_of(message);
-  if (reading.longest == 0) return false;
+  if (reading.longest == 0 && !reading.turns) return false;
   if (same_count_ == 0 || reading.hash != reading_) {
     reading_ = reading.hash;
-    same_since_ = now;
+    same_since_ = yaw_time_ = now;
+    yaw_ = yaw;
     same_count_ = 0;
   }
   ++same_count_;
-  return same_count_ >= reading.most && now - same_since_ >= reading.longest;
+  if (!reading.turns) return same_count_ >= reading.most && now - same_since_ >= reading.longest;
+  if (std::abs(yaw - yaw_) > kSeenTurn) {
+    yaw_ =
+        std::numeric_limits<double>::infinity();  // frozen until it reads something else, even if the board turns back
+    return true;
+  }
+  if (now - yaw_time_ > kTurnTime) {
+    yaw_time_ = now;
+    yaw_ = yaw;
+  }
+  return false;
 }
 
-void SensorWatch::judged(const std::string& fault, int64_t now) {
+void SensorWatch::judged(const SensorMessage& message, const std::string& fault, int64_t now) {
   recent_.push_back({now, !fault.empty()});
   while (now - recent_.front().time > kWindow) recent_.pop_front();
   if (!fault.empty()) {
@@ -61,6 +87,7 @@ void SensorWatch::judged(const std::string& fault, int64_t now) {
   }
   last_good_ = now;
   ever_good_ = true;
+  if (const auto* imu = std::get_if<imu_t>(&message)) imu_.feed(*imu, now);
 }
 
 std::string SensorWatch::complaint(int64_t now) {
@@ -72,9 +99,35 @@ std::string SensorWatch::complaint(int64_t now) {
                        kWindow / 1000, last_fault_);
   }
   const double silent = static_cast<double>(now - last_good_) * 1e-6;
-  if (silent <= silence_) return "";
-  return ever_good_ ? fmt::format("{}: silent for {:.1f} s", channel_, silent)
-                    : fmt::format("{}: nothing has come for {:.1f} s", channel_, silent);
+  if (silent > silence_) {
+    return ever_good_ ? fmt::format("{}: silent for {:.1f} s", channel_, silent)
+                      : fmt::format("{}: nothing has come for {:.1f} s", channel_, silent);
+  }
+  if (std::string slow = slowness(recent_.size() - static_cast<size_t>(refused), now); !slow.empty()) return slow;
+  const std::string strange = imu_.complaint(now);
+  return strange.empty() ? "" : fmt::format("{}: {}", channel_, strange);
+}
+
+// The rate now, against that of the sensor's own last twenty seconds without complaint.
+std::string SensorWatch::slowness(size_t good, int64_t now) {
+  if (counts_.size() >= kFewestWindows) {
+    std::vector<size_t> sorted(counts_.begin(), counts_.end());
+    const auto middle = sorted.begin() + static_cast<std::ptrdiff_t>(sorted.size() / 2);
+    std::nth_element(sorted.begin(), middle, sorted.end());
+    const double usual = static_cast<double>(*middle), share = static_cast<double>(good) / usual;
+    slow_ = *middle >= kFewestUsual && share < (slow_ ? kNotSlow : kSlow);
+    const auto rate = [](double count) { return count * 1e6 / kWindow; };
+    if (slow_) {
+      return fmt::format("{}: {:.0f} messages a second, where there were {:.0f}", channel_,
+                         rate(static_cast<double>(good)), rate(usual));
+    }
+  }
+  if (now - counted_ >= kWindow) {
+    counted_ = now;
+    counts_.push_back(good);
+    if (counts_.size() > kUsualWindows) counts_.pop_front();
+  }
+  return {};
 }
 
 }  // namespace orthonav::ingest

@@ -278,18 +278,20 @@ class IioImu : public SensorsOfABoard {
     ImuRecord record{};
     ++measured_;
     record.rate[0] = big_endian(100 + measured_ % kMeasured);
-    record.rate[1] = big_endian(-200);
-    record.force[2] = big_endian(980);
+    record.rate[1] = big_endian(-200 - measured_ % 3);
+    record.rate[2] = big_endian(measured_ % 5);
+    for (int16_t& force : record.force) force = big_endian(measured_ % 4);
+    record.force[2] = big_endian(980 + measured_ % 7);
     // Written some 40 ms after it was measured, at times that no arrival explains.
     const int64_t late = 40'000 - 977 * (measured_ % 7);
     record.time_ns = 1000 * (time_of(clock_) - late);
     stamps_[measured_ % kMeasured] = time_of(CLOCK_REALTIME) - late;
     files_->record(&record, sizeof(record));
   }
+  // Which sample it is: measured_ in measure().
+  static int number_of(const imu_t& m) { return static_cast<int>(std::lround(-1000 * m.angular_rate[1])) - 100; }
   // When a sample was measured, by the wall clock.
-  int64_t stamp_of(const imu_t& m) const {
-    return stamps_.at(static_cast<int>(std::lround(-1000 * m.angular_rate[1])) - 100);
-  }
+  int64_t stamp_of(const imu_t& m) const { return stamps_.at(number_of(m)); }
   bool flows(size_t more) {
     const size_t before = imu_.messages.size();
     return play_until([this] { measure(); }, [&] { return imu_.messages.size() > before + more && sound(); });
@@ -311,9 +313,10 @@ TEST_F(IioImu, IsSetUpAndItsRecordsBecomeSamplesWithTheKernelsStamps) {
   EXPECT_EQ(files_->text("buffer/enable"), "1");
   EXPECT_EQ(files_->text("sampling_frequency"), "200");
   const imu_t& sample = imu_.messages.back();
-  EXPECT_NEAR(sample.angular_rate[0], -0.2, 1e-9) << "turned into the body's axes";
+  const int number = number_of(sample);
+  EXPECT_NEAR(sample.angular_rate[0], -0.2 - 0.001 * (number % 3), 1e-9) << "turned into the body's axes";
   EXPECT_LE(sample.angular_rate[1], -0.1);
-  EXPECT_NEAR(sample.specific_force[2], 9.81, 1e-9) << "with the axis's offset";
+  EXPECT_NEAR(sample.specific_force[2], 9.81 + 0.01 * (number % 7), 1e-9) << "with the axis's offset";
   for (const imu_t& m : imu_.messages) EXPECT_NEAR(static_cast<double>(m.utime - stamp_of(m)), 0, 500);
 }
 
@@ -374,8 +377,11 @@ std::string line(const std::string& text) {
   return fmt::format("${}*{:02X}\r\n", text, ingest::line_checksum(text));
 }
 
+// No axis of a real sensor reads the same for long.
 std::string imu_line(int64_t time, int number) {
-  return line(fmt::format("IMU,{},0.01,0.02,{},0,0,9.81", time, 0.001 * number));
+  const double noise = 0.001 * (number % 7);
+  return line(
+      fmt::format("IMU,{},{},{},{},{},{},{}", time, 0.01 + noise, 0.02 + noise, noise, noise, noise, 9.81 + noise));
 }
 
 TEST_F(SensorsOfABoard, LinesOverUdpWithGarbageBetweenThemBecomeSamplesWithTheSensorsSpacing) {
@@ -475,15 +481,77 @@ TEST_F(SensorsOfABoard, AnInertialSensorThatGoesMadIsReportedWithinASecond) {
     ++number;
     port.say(imu_line(10'000 * number, number));
   };
-  ASSERT_TRUE(play_until(speak, [&] { return imu_.messages.size() > 20 && sound(); })) << last_message();
-  const auto rave = [&] {
-    ++number;
-    port.say(line(fmt::format("IMU,{},{},0,0,0,0,9.81", 10'000 * number, number % 2 == 0 ? "nan" : "1e9")));
+  const auto recovers = [&] {
+    const size_t before = imu_.messages.size();
+    return play_until(speak, [&] { return imu_.messages.size() > before + 20 && sound(); });
   };
-  EXPECT_LT(time_until_said("refused", rave), 1.0);
-  const size_t before = imu_.messages.size();
-  ASSERT_TRUE(play_until(speak, [&] { return imu_.messages.size() > before + 20; }));
+  ASSERT_TRUE(recovers()) << last_message();
+  const auto says = [&](const std::string& readings) {
+    return [&, readings] {
+      ++number;
+      const double noise = 0.001 * (number % 7);
+      port.say(line(fmt::format(
+          "IMU,{},{}", 10'000 * number,
+          fmt::format(fmt::runtime(readings), fmt::arg("n", noise), fmt::arg("g", 9.81 + noise),
+                      fmt::arg("g_in_g", 1 + noise), fmt::arg("leap", number % 4 == 0 ? 8 : 0.1 + noise)))));
+    };
+  };
+  EXPECT_LT(time_until_said("refused: IMU", says("nan,{n},{n},{n},{n},{g}")), 1.0);
+  ASSERT_TRUE(recovers()) << last_message();
+  EXPECT_LT(time_until_said("refused: IMU", says("1e9,{n},{n},{n},{n},{g}")), 1.0);
+  ASSERT_TRUE(recovers()) << last_message();
   for (const imu_t& m : imu_.messages) ASSERT_LT(std::abs(m.angular_rate[0]), 1) << "madness stays off the bus";
+  EXPECT_LT(time_until_said("angular_rate[1] has read 0.5", says("{n},0.5,{n},{n},{n},{g}")), 1.0);
+  ASSERT_TRUE(recovers()) << last_message();
+  EXPECT_LT(time_until_said("angular_rate leaps", says("{leap},{n},{n},{n},{n},{g}")), 1.0);
+  ASSERT_TRUE(recovers()) << last_message();
+  EXPECT_LT(time_until_said("specific_force is 1.00 m", says("{n},{n},{n},{n},{n},{g_in_g}")), 1.0);
+  ASSERT_TRUE(recovers()) << last_message();
+}
+
+TEST_F(SensorsOfABoard, AnInertialSensorThatSlowsDownIsReportedWithinASecond) {
+  SerialPort port(folder_ / "ttyIMU");
+  start(fmt::format("lines:\n  port: {}\n", (folder_ / "ttyIMU").string()));
+  int number = 0;
+  const auto speak = [&] {
+    ++number;
+    port.say(imu_line(10'000 * number, number));
+  };
+  const auto mumble = [&] {
+    if (++number % 20 == 0) port.say(imu_line(10'000 * number, number / 20));
+  };
+  ASSERT_TRUE(play_until(speak, [&] { return imu_.messages.size() > 600 && sound(); })) << last_message();
+  EXPECT_LT(time_until_said("messages a second, where there were", mumble), 1.0);
+  EXPECT_TRUE(play_until(speak, [&] { return sound(); })) << last_message();
+}
+
+TEST_F(SensorsOfABoard, ACompassThatStandsStillWhileTheBoardTurnsIsReportedAndKeptOffTheBus) {
+  SerialPort port(folder_ / "ttyIMU");
+  start(fmt::format("lines:\n  port: {}\n  channels: [IMU, COMPASS]\n", (folder_ / "ttyIMU").string()));
+  int number = 0;
+  double yaw = 0, heading = 0;
+  // `rate`, rad/s
+  const auto turn = [&](double rate, bool frozen) {
+    ++number;
+    const double noise = 0.001 * (number % 7);
+    yaw += 0.01 * rate;
+    if (!frozen) heading = 180 - yaw * 180 / M_PI;
+    port.say(line(fmt::format("IMU,{},{},{},{},{},{},{}", 10'000 * number, noise, noise, rate + noise, noise, noise,
+                              9.81 + noise)));
+    if (number % 5 == 0) port.say(line(fmt::format("HDG,{},{:.1f},2", 10'000 * number, heading)));
+  };
+  ASSERT_TRUE(play_until([&] { turn(0.5, false); }, [&] { return compass_.messages.size() > 40 && sound(); }))
+      << last_message();
+  const size_t before = compass_.messages.size();
+  ASSERT_TRUE(play_until([&] { turn(0, true); }, [&] { return compass_.messages.size() > before + 40; }))
+      << "at rest it may: " << last_message();
+  EXPECT_TRUE(sound()) << last_message();
+  // 20 degrees are turned after 0.7 s.
+  EXPECT_LT(time_until_said("COMPASS: ", [&] { turn(0.5, true); }), 1.7);
+  EXPECT_THAT(last_message(), HasSubstr("very same reading"));
+  const size_t frozen = compass_.messages.size();
+  ASSERT_TRUE(play_until([&] { turn(0.5, false); }, [&] { return compass_.messages.size() > frozen + 20 && sound(); }))
+      << last_message();
 }
 
 }  // namespace

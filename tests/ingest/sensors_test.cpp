@@ -1,6 +1,7 @@
 // What the devices of a board are read with: IIO's records, lines, a sensor's clock, the watch over it.
 #include <cmath>
 #include <fstream>
+#include <functional>
 #include <random>
 
 #include <fmt/format.h>
@@ -145,34 +146,58 @@ imu_t imu_of(double rate) {
   return imu;
 }
 
+const SensorMessage kAny = compass_t{};
+
 TEST(SensorWatch, SaysWhenASensorIsSilentAndWhenItIsBack) {
   SensorWatch watch("IMU", 0.5);
   EXPECT_EQ(watch.complaint(1'000'000), "");
   EXPECT_THAT(watch.complaint(1'600'000), HasSubstr("IMU: nothing has come"));
-  watch.judged("", 1'700'000);
+  watch.judged(kAny, "", 1'700'000);
   EXPECT_EQ(watch.complaint(2'200'000), "");
   EXPECT_THAT(watch.complaint(2'201'000), HasSubstr("IMU: silent for 0.5 s"));
-  watch.judged("", 2'300'000);
+  watch.judged(kAny, "", 2'300'000);
   EXPECT_EQ(watch.complaint(2'400'000), "");
 }
 
 TEST(SensorWatch, SaysWhenMoreThanATenthIsRefused) {
   SensorWatch watch("IMU");
-  for (int i = 0; i < 100; ++i) watch.judged(i % 20 == 0 ? "is not finite" : "", 1'000'000 + 5'000 * i);
+  for (int i = 0; i < 100; ++i) watch.judged(kAny, i % 20 == 0 ? "is not finite" : "", 1'000'000 + 5'000 * i);
   EXPECT_EQ(watch.complaint(1'500'000), "");
-  for (int i = 0; i < 100; ++i) watch.judged(i % 5 == 0 ? "is not finite" : "", 1'500'000 + 5'000 * i);
+  for (int i = 0; i < 100; ++i) watch.judged(kAny, i % 5 == 0 ? "is not finite" : "", 1'500'000 + 5'000 * i);
   EXPECT_THAT(watch.complaint(2'000'000), HasSubstr("is not finite"));
 }
 
 TEST(SensorWatch, AFrozenImuMeasuresNothing) {
   SensorWatch watch("IMU");
-  for (int i = 0; i < 60; ++i) EXPECT_FALSE(watch.frozen(imu_of(0.1), 1'000'000 + 5'000 * i)) << i;
-  EXPECT_TRUE(watch.frozen(imu_of(0.1), 1'300'000));
-  EXPECT_FALSE(watch.frozen(imu_of(0.2), 1'305'000));
-  EXPECT_FALSE(watch.frozen(imu_of(0.1), 1'310'000));
-  compass_t still{};
-  for (int i = 0; i < 1000; ++i)
-    EXPECT_FALSE(watch.frozen(still, 1'000'000 + 5'000 * i)) << "a compass may stand still";
+  for (int i = 0; i < 60; ++i) EXPECT_FALSE(watch.frozen(imu_of(0.1), 1'000'000 + 5'000 * i, 0)) << i;
+  EXPECT_TRUE(watch.frozen(imu_of(0.1), 1'300'000, 0));
+  EXPECT_FALSE(watch.frozen(imu_of(0.2), 1'305'000, 0));
+  EXPECT_FALSE(watch.frozen(imu_of(0.1), 1'310'000, 0));
+}
+
+TEST(SensorWatch, ACompassMayStandStillUntilTheBoardTurns) {
+  magnetometer_t field{};
+  field.field[0] = 20e-6;
+  for (const SensorMessage& still : {SensorMessage(compass_t{}), SensorMessage(field)}) {
+    SensorWatch watch("COMPASS");
+    int64_t now = 1'000'000;
+    const auto read = [&](double yaw) { return watch.frozen(still, now += 50'000, yaw); };
+    for (int i = 0; i < 1000; ++i) EXPECT_FALSE(read(0.02 * 0.05 * i)) << "a gyroscope's bias of 0.02 rad/s is no turn";
+    double yaw = 1;
+    EXPECT_FALSE(read(yaw));
+    for (int i = 0; i < 6; ++i) EXPECT_FALSE(read(yaw += 0.05)) << "0.3 rad";
+    EXPECT_TRUE(read(yaw + 0.1));
+    for (int i = 0; i < 200; ++i) EXPECT_TRUE(read(yaw)) << "turning back makes no reading of it";
+  }
+}
+
+TEST(SensorWatch, ASensorThatTurnsWithTheBoardIsNotFrozen) {
+  SensorWatch watch("COMPASS");
+  compass_t compass{};
+  for (int i = 0; i < 1000; ++i) {
+    compass.heading = -0.01 * i;
+    EXPECT_FALSE(watch.frozen(compass, 1'000'000 + 50'000 * i, 0.01 * i));
+  }
 }
 
 TEST(SensorWatch, AFrozenCameraIsSeenWithinASecondAtAnyRate) {
@@ -183,14 +208,127 @@ TEST(SensorWatch, AFrozenCameraIsSeenWithinASecondAtAnyRate) {
     int64_t now = 1'000'000;
     for (int i = 0; i < 50; ++i) {
       image.data[0] = static_cast<uint8_t>(i);
-      EXPECT_FALSE(watch.frozen(image, now += period)) << i;
+      EXPECT_FALSE(watch.frozen(image, now += period, 0)) << i;
     }
     const int64_t freeze = now;
-    while (now < freeze + 1'000'000 && !watch.frozen(image, now += period)) {
+    while (now < freeze + 1'000'000 && !watch.frozen(image, now += period, 0)) {
     }
     EXPECT_LT(now, freeze + 1'000'000) << period;
     EXPECT_GT(now, freeze + 700'000) << period;
   }
+}
+
+// A sensor that sends every `period` microseconds from `now` on for `duration`, asked ten times a second as the service
+// does. The first complaint, and how long after the start it came, microseconds.
+std::pair<int64_t, std::string> first_complaint(SensorWatch& watch, int64_t& now, int64_t period, int64_t duration,
+                                                const std::function<SensorMessage()>& read) {
+  const int64_t start = now;
+  int64_t asked = now;
+  std::pair<int64_t, std::string> first{duration, ""};
+  while (now < start + duration) {
+    now += period;
+    while (asked + 100'000 <= now) {
+      asked += 100'000;
+      const std::string complaint = watch.complaint(asked);
+      if (first.second.empty() && !complaint.empty()) first = {asked - start, complaint};
+    }
+    watch.judged(read(), "", now);
+  }
+  return first;
+}
+
+TEST(SensorWatch, ARateThatFallsBelowTwoFifthsOfItsOwnIsSeenWithinASecondUntilItIsBack) {
+  const auto any = [] { return kAny; };
+  for (const int64_t period : {1'000, 5'000, 33'000, 100'000}) {
+    for (const int64_t slower : {3, 10}) {
+      SensorWatch watch("CAMERA");
+      int64_t now = 1'000'000;
+      ASSERT_EQ(first_complaint(watch, now, period, 10'000'000, any).second, "") << period;
+      ASSERT_EQ(first_complaint(watch, now, 2 * period, 5'000'000, any).second, "") << "half of it is no fault";
+      ASSERT_EQ(first_complaint(watch, now, period, 20'000'000, any).second, "") << period;
+      const auto [after, complaint] = first_complaint(watch, now, slower * period, 60'000'000, any);
+      EXPECT_LT(after, 1'000'000) << period << " " << slower;
+      EXPECT_THAT(complaint, testing::AnyOf(HasSubstr("messages a second, where there were"), HasSubstr("silent")));
+      EXPECT_NE(watch.complaint(now), "") << "it is not the usual rate, however long it lasts";
+      first_complaint(watch, now, period, 1'000'000, any);
+      EXPECT_EQ(watch.complaint(now), "") << period;
+    }
+  }
+}
+
+TEST(SensorWatch, ABacklogThatComesAtOnceIsNotTheUsualRate) {
+  SensorWatch watch("CAMERA");
+  const auto any = [] { return kAny; };
+  int64_t now = 1'000'000;
+  first_complaint(watch, now, 1'000, 800'000, any);
+  EXPECT_EQ(first_complaint(watch, now, 33'000, 30'000'000, any).second, "");
+}
+
+// An IMU in a smooth flight: noise, gravity, and the same on all axes that `bad` leaves alone.
+class FlyingImu {
+ public:
+  SensorMessage operator()() {
+    imu_t imu{};
+    for (int i = 0; i < 3; ++i) {
+      imu.angular_rate[i] = 0.05 * noise_(random_);
+      imu.specific_force[i] = (i == 2 ? 9.8 : 0.0) + 2 * noise_(random_);
+    }
+    if (bad) bad(imu);
+    return imu;
+  }
+  std::function<void(imu_t&)> bad;
+  double noise() { return noise_(random_); }
+
+ private:
+  std::mt19937 random_{1};
+  std::normal_distribution<double> noise_;
+};
+
+TEST(SensorWatch, AnImuThatMeasuresWhatNoAircraftDoesIsSeenWithinASecond) {
+  FlyingImu imu;
+  const std::vector<std::pair<std::function<void(imu_t&)>, std::string>> cases{
+      {[](imu_t& m) { m.angular_rate[1] = 0.125; }, "IMU: angular_rate[1] has read 0.125"},
+      {[](imu_t& m) { m.specific_force[2] = 16; }, "IMU: specific_force[2] has read 16"},
+      {[&](imu_t& m) { m.angular_rate[0] = 3 * imu.noise(); }, "IMU: angular_rate leaps"},
+      {[&](imu_t& m) { m.specific_force[0] = 100 * imu.noise(); }, "IMU: specific_force leaps"},
+      {[](imu_t& m) {
+         for (double& f : m.specific_force) f /= 9.8;
+       },
+       "is it in g?"},
+      {[n = 0](imu_t& m) mutable { m.angular_rate[1] += ++n % 8 == 0 ? 5 : 0; }, "IMU: angular_rate leaps"},
+      {[](imu_t& m) { m.specific_force[1] += 80; }, "IMU: specific_force is"},
+      {[](imu_t& m) { m.angular_rate[2] += 30; }, "is it in degrees?"}};
+  for (const auto& [bad, what] : cases) {
+    for (const int64_t period : {1'000, 5'000, 20'000}) {
+      SensorWatch watch("IMU");
+      int64_t now = 1'000'000;
+      imu.bad = nullptr;
+      ASSERT_EQ(first_complaint(watch, now, period, 10'000'000, std::ref(imu)).second, "");
+      imu.bad = bad;
+      const auto [after, complaint] = first_complaint(watch, now, period, 5'000'000, std::ref(imu));
+      EXPECT_LT(after, 1'000'000) << what << " at " << period;
+      EXPECT_THAT(complaint, HasSubstr(what));
+      imu.bad = nullptr;
+      first_complaint(watch, now, period, 700'000, std::ref(imu));
+      EXPECT_EQ(watch.complaint(now), "") << what;
+    }
+  }
+}
+
+TEST(SensorWatch, MotorsThatStartAndATurnAreNoMadness) {
+  FlyingImu imu;
+  SensorWatch watch("IMU");
+  int64_t now = 1'000'000;
+  imu.bad = [&](imu_t& m) {  // at rest, motors off
+    for (double& w : m.angular_rate) w = 0.002 * imu.noise();
+    for (int i = 0; i < 3; ++i) m.specific_force[i] = (i == 2 ? 9.8 : 0) + 0.02 * imu.noise();
+  };
+  EXPECT_EQ(first_complaint(watch, now, 5'000, 20'000'000, std::ref(imu)).second, "");
+  imu.bad = [&](imu_t& m) {  // badly mounted, in a turn of 3 g
+    for (double& w : m.angular_rate) w = 1.5 + 0.3 * imu.noise();
+    for (int i = 0; i < 3; ++i) m.specific_force[i] = (i == 2 ? 29 : 0) + 15 * imu.noise();
+  };
+  EXPECT_EQ(first_complaint(watch, now, 5'000, 20'000'000, std::ref(imu)).second, "");
 }
 
 class SensorOptionsFile : public testing::Test {
