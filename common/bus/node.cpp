@@ -446,7 +446,7 @@ int Node::run() {
   while (!stopping()) {
     const int64_t due = impl_->fire_timers(monotonic());
     impl_->report_drops();
-    if (impl_->health.state() != impl_->published_state) publish_health();
+    if (impl_->health.state() != impl_->published_state || impl_->health.hurried_) publish_health();
     std::optional<Impl::Message> message;
     {
       std::unique_lock lock(impl_->queue_mutex);
@@ -560,6 +560,7 @@ void Node::publish_health() {
   }
   message.num_counters = static_cast<int32_t>(message.counters.size());
   impl_->published_state = health.state_;
+  health.hurried_ = false;
   if (sealing()) {
     std::vector<uint8_t> bytes(static_cast<size_t>(message.getEncodedSize()));
     message.encode(bytes.data(), 0, static_cast<int>(bytes.size()));

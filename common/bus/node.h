@@ -64,6 +64,8 @@ class Health {
   void set_state(State state, const std::string& message = "");
   void set(const std::string& counter, double value) { counters_[counter] = value; }
   void add(const std::string& counter, double amount = 1) { counters_[counter] += amount; }
+  // Lets a live node's heartbeat go out with the next timer or message instead of within a second, as a new state does.
+  void hurry() { hurried_ = true; }
   // Counts `amount` under `rejected.<what>` and for 5 s degrades the state, or adds to its message, with this one.
   void reject(const std::string& what, const std::string& message, double amount = 1);
 
@@ -79,6 +81,7 @@ class Health {
   std::string reject_message_;
   int64_t reject_until_ = 0;
   bool reject_pending_ = false;
+  bool hurried_ = false;
 };
 
 class Node {

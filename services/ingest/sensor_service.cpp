@@ -1,12 +1,14 @@
 #include "services/ingest/sensor_service.h"
 
 #include <algorithm>
+#include <cctype>
 #include <cmath>
 #include <string>
 
 #include <fmt/format.h>
 #include <spdlog/spdlog.h>
 
+#include "common/bus/channels.h"
 #include "services/ingest/ingest_service.h"
 #include "services/ingest/sensor_options.h"
 
@@ -57,7 +59,7 @@ void SensorService::publish_what_came() {
       found->second.judged(*event.message, fault, now);
     } else if (found->second.frozen(*event.message, now, yaw_)) {
       node_.health().add("rejected." + found->first + ".frozen");
-      found->second.judged(*event.message, "the very same reading again and again", now);
+      found->second.judged(*event.message, "frozen", now);
     } else {
       fault = publish_checked(node_, validator_, compass_, event);
       found->second.judged(*event.message, fault, now);
@@ -69,34 +71,42 @@ void SensorService::publish_what_came() {
 
 void SensorService::turn(const imu_t& imu) {
   const double elapsed = 1e-6 * static_cast<double>(imu.utime - imu_utime_);
-  if (elapsed > 0 && elapsed < kLongestStep) yaw_ += elapsed * imu.angular_rate[2];
+  if (imu_is_sound_ && elapsed > 0 && elapsed < kLongestStep) yaw_ += elapsed * imu.angular_rate[2];
   imu_utime_ = imu.utime;
 }
 
 void SensorService::watch() {
   std::string complaint;
+  imu_is_sound_ = true;
   const int64_t now = clock_.now();
   for (const auto& reader : readers_) {
     if (reader->ended()) continue;
     std::string wrong;
     for (const std::string& channel : reader->channels()) {
       node_.health().set("rate_hz." + channel, validator_.rate_hz(channel));
-      if (wrong.empty()) wrong = watches_.at(channel).complaint(now);
+      const std::string fault = watches_.at(channel).complaint(now);
+      if (fault.empty()) continue;
+      if (channel == channel::kImu) imu_is_sound_ = false;
+      wrong += (wrong.empty() ? "" : ", ") + fault;
     }
     if (wrong.empty()) continue;
     const std::string trouble = reader->trouble();
     complaint +=
         fmt::format("{}{} ({})", complaint.empty() ? "" : "; ", wrong, trouble.empty() ? reader->name() : trouble);
   }
-  if (complaint.empty() != complaint_.empty()) {
+  // Seconds and shares go on counting; what is news has other words.
+  std::string words = complaint;
+  std::erase_if(words, [](char c) { return std::isdigit(static_cast<unsigned char>(c)) != 0 || c == '.' || c == '-'; });
+  if (words != words_) {
     if (complaint.empty()) {
       spdlog::info("all sensors are there");
     } else {
       spdlog::warn("{}", complaint);
-      node_.health().add("sensor_outages");
     }
+    if (words_.empty()) node_.health().add("sensor_outages");
+    node_.health().hurry();
   }
-  complaint_ = complaint;
+  words_ = words;
   node_.health().set_state(complaint.empty() ? Health::State::kOk : Health::State::kDegraded, complaint);
 }
 

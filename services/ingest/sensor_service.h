@@ -36,9 +36,10 @@ class SensorService : public Service {
   std::map<std::string, SensorWatch> watches_;  // by channel
   std::vector<std::unique_ptr<DeviceReader>> readers_;
   std::vector<SensorEvent> events_;
-  double yaw_ = 0;  // rad, integrated, from any start
+  double yaw_ = 0;  // rad about the body's z, integrated, from any start
   int64_t imu_utime_ = 0;
-  std::string complaint_;
+  bool imu_is_sound_ = true;
+  std::string words_;  // of the last complaint
 };
 
 }  // namespace orthonav::ingest

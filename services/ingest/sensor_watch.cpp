@@ -2,7 +2,6 @@
 
 #include <algorithm>
 #include <cmath>
-#include <limits>
 #include <string_view>
 #include <vector>
 
@@ -12,28 +11,31 @@ namespace orthonav::ingest {
 
 namespace {
 
-constexpr int64_t kWindow = 800'000;        // microseconds over which messages are counted
+// Over which messages are counted: microseconds, and as a multiple of the silence that is no fault.
+constexpr int64_t kShortestWindow = 800'000;
+constexpr double kWindowOfSilence = 1.6;
 constexpr double kTolerableRefusals = 0.1;  // of the messages in the window
 // For how long, in microseconds, and in how many readings a sensor may say the very same: reported within a second.
-constexpr int64_t kFrozenImu = 300'000, kFrozenCamera = 800'000;
-constexpr int kFrozenSamples = 10, kFrozenImages = 4;
-// A turn that no compass can miss, rad, within a time in which no gyroscope's bias makes it.
+constexpr int64_t kFrozenImu = 300'000, kFrozenCamera = 800'000, kFrozenCompass = 500'000;
+constexpr int kFrozenSamples = 10, kFrozenImages = 4, kFrozenHeadings = 4;
+// A turn that no compass can miss, rad, within a time in which few gyroscopes' biases make it (10 degrees/s).
 constexpr double kSeenTurn = 0.35;
-constexpr int64_t kTurnTime = 4'000'000;
+constexpr int64_t kTurnTime = 2'000'000;
 // A sensor is slow below so much of its usual rate, and no longer slow above so much of it. The usual one is the median
 // of so many windows; of fewer messages in each than kFewestUsual, silence says enough.
 constexpr double kSlow = 0.4, kNotSlow = 0.5;
 constexpr size_t kUsualWindows = 25, kFewestWindows = 5, kFewestUsual = 4;
+constexpr int64_t kPause = 300'000;  // after which it may be about to fall silent, which is another fault
 
 std::string_view bytes_of(const void* data, size_t size) {
   return {static_cast<const char*>(data), size};
 }
 
 struct Reading {
-  size_t hash = 0;
-  int64_t longest = 0;  // microseconds for which it may stay the same; 0: until the board turns
-  int most = 0;         // readings that may be the same
-  bool turns = false;   // with the board
+  size_t hash;
+  int64_t longest;    // microseconds for which it may stay the same; 0: for ever
+  int most;           // readings that may be the same
+  bool until_a_turn;  // it may for ever while the board does not turn
 };
 
 // A compass at rest may well repeat itself; an IMU and a camera have noise in their last digits.
@@ -47,40 +49,42 @@ Reading reading_of(const SensorMessage& message) {
   if (const auto* image = std::get_if<image_t>(&message))
     return {hash(bytes_of(image->data.data(), image->data.size())), kFrozenCamera, kFrozenImages, false};
   if (const auto* magnetometer = std::get_if<magnetometer_t>(&message))
-    return {hash(bytes_of(magnetometer->field, sizeof(magnetometer->field))), 0, 0, true};
+    return {hash(bytes_of(magnetometer->field, sizeof(magnetometer->field))), kFrozenCompass, kFrozenHeadings, true};
   if (const auto* compass = std::get_if<compass_t>(&message))
-    return {hash(bytes_of(&compass->heading, sizeof(compass->heading))), 0, 0, true};
-  return {};
+    return {hash(bytes_of(&compass->heading, sizeof(compass->heading))), kFrozenCompass, kFrozenHeadings, true};
+  return {0, 0, 0, false};
 }
 
 }  // namespace
 
+SensorWatch::SensorWatch(std::string channel, double silence)
+    : channel_(std::move(channel)),
+      silence_(silence),
+      window_(std::max(kShortestWindow, int64_t{std::llround(kWindowOfSilence * 1e6 * silence)})) {}
+
 bool SensorWatch::frozen(const SensorMessage& message, int64_t now, double yaw) {
   const Reading reading = reading_of(message);
-  if (reading.longest == 0 && !reading.turns) return false;
+  if (reading.longest == 0) return false;
   if (same_count_ == 0 || reading.hash != reading_) {
     reading_ = reading.hash;
     same_since_ = yaw_time_ = now;
     yaw_ = yaw;
     same_count_ = 0;
+    turned_ = frozen_ = false;
   }
   ++same_count_;
-  if (!reading.turns) return same_count_ >= reading.most && now - same_since_ >= reading.longest;
-  if (std::abs(yaw - yaw_) > kSeenTurn) {
-    yaw_ =
-        std::numeric_limits<double>::infinity();  // frozen until it reads something else, even if the board turns back
-    return true;
-  }
+  turned_ = turned_ || std::abs(yaw - yaw_) > kSeenTurn;
   if (now - yaw_time_ > kTurnTime) {
     yaw_time_ = now;
     yaw_ = yaw;
   }
-  return false;
+  frozen_ = same_count_ >= reading.most && now - same_since_ >= reading.longest && (turned_ || !reading.until_a_turn);
+  return frozen_;
 }
 
 void SensorWatch::judged(const SensorMessage& message, const std::string& fault, int64_t now) {
   recent_.push_back({now, !fault.empty()});
-  while (now - recent_.front().time > kWindow) recent_.pop_front();
+  while (now - recent_.front().time > window_) recent_.pop_front();
   if (!fault.empty()) {
     last_fault_ = fault;
     return;
@@ -92,37 +96,46 @@ void SensorWatch::judged(const SensorMessage& message, const std::string& fault,
 
 std::string SensorWatch::complaint(int64_t now) {
   if (last_good_ == 0) last_good_ = now;
-  while (!recent_.empty() && now - recent_.front().time > kWindow) recent_.pop_front();
+  while (!recent_.empty() && now - recent_.front().time > window_) recent_.pop_front();
   const auto refused = std::count_if(recent_.begin(), recent_.end(), [](const auto& j) { return j.refused; });
-  if (refused > 0 && static_cast<double>(refused) > kTolerableRefusals * static_cast<double>(recent_.size())) {
-    return fmt::format("{}: {} of {} messages of the last {} ms refused: {}", channel_, refused, recent_.size(),
-                       kWindow / 1000, last_fault_);
+  std::vector<std::string> faults;
+  if (frozen_) {
+    faults.push_back("the very same reading again and again");
+  } else if (refused > 0 && static_cast<double>(refused) > kTolerableRefusals * static_cast<double>(recent_.size())) {
+    faults.push_back(fmt::format("{} of {} messages of the last {} ms refused: {}", refused, recent_.size(),
+                                 window_ / 1000, last_fault_));
   }
   const double silent = static_cast<double>(now - last_good_) * 1e-6;
   if (silent > silence_) {
-    return ever_good_ ? fmt::format("{}: silent for {:.1f} s", channel_, silent)
-                      : fmt::format("{}: nothing has come for {:.1f} s", channel_, silent);
+    faults.push_back(ever_good_ ? fmt::format("silent for {:.1f} s", silent)
+                                : fmt::format("nothing has come for {:.1f} s", silent));
+  } else {
+    faults.push_back(slowness(recent_.size() - static_cast<size_t>(refused), now));
   }
-  if (std::string slow = slowness(recent_.size() - static_cast<size_t>(refused), now); !slow.empty()) return slow;
-  const std::string strange = imu_.complaint(now);
-  return strange.empty() ? "" : fmt::format("{}: {}", channel_, strange);
+  faults.push_back(imu_.complaint(now));
+  std::erase(faults, "");
+  return faults.empty() ? "" : fmt::format("{}: {}", channel_, fmt::join(faults, ", "));
 }
 
-// The rate now, against that of the sensor's own last twenty seconds without complaint.
+// The rate now, against that of the sensor's own last twenty seconds in which it was not slow.
 std::string SensorWatch::slowness(size_t good, int64_t now) {
   if (counts_.size() >= kFewestWindows) {
     std::vector<size_t> sorted(counts_.begin(), counts_.end());
     const auto middle = sorted.begin() + static_cast<std::ptrdiff_t>(sorted.size() / 2);
     std::nth_element(sorted.begin(), middle, sorted.end());
-    const double usual = static_cast<double>(*middle), share = static_cast<double>(good) / usual;
-    slow_ = *middle >= kFewestUsual && share < (slow_ ? kNotSlow : kSlow);
-    const auto rate = [](double count) { return count * 1e6 / kWindow; };
+    const auto usual = static_cast<double>(*middle), share = static_cast<double>(good) / std::max(usual, 1.0);
+    if (*middle < kFewestUsual || share > kNotSlow) {
+      slow_ = false;
+    } else if (share < kSlow && now - last_good_ < kPause) {
+      slow_ = true;
+    }
     if (slow_) {
-      return fmt::format("{}: {:.0f} messages a second, where there were {:.0f}", channel_,
-                         rate(static_cast<double>(good)), rate(usual));
+      const auto rate = [this](double count) { return count * 1e6 / static_cast<double>(window_); };
+      return fmt::format("{:.0f} messages a second, where there were {:.0f}", rate(static_cast<double>(good)),
+                         rate(usual));
     }
   }
-  if (now - counted_ >= kWindow) {
+  if (now - counted_ >= window_) {
     counted_ = now;
     counts_.push_back(good);
     if (counts_.size() > kUsualWindows) counts_.pop_front();

@@ -182,39 +182,24 @@ TEST(SensorWatch, ACompassMayStandStillUntilTheBoardTurns) {
     SensorWatch watch("COMPASS");
     int64_t now = 1'000'000;
     const auto read = [&](double yaw) { return watch.frozen(still, now += 50'000, yaw); };
-    for (int i = 0; i < 1000; ++i) EXPECT_FALSE(read(0.02 * 0.05 * i)) << "a gyroscope's bias of 0.02 rad/s is no turn";
-    double yaw = 1;
-    EXPECT_FALSE(read(yaw));
+    for (int i = 0; i < 1000; ++i) EXPECT_FALSE(read(0.1 * 0.05 * i)) << "a gyroscope's bias of 6 degrees/s is no turn";
+    double yaw = 0.1 * 0.05 * 1000;
+    for (int i = 0; i < 100; ++i) EXPECT_FALSE(read(yaw));
     for (int i = 0; i < 6; ++i) EXPECT_FALSE(read(yaw += 0.05)) << "0.3 rad";
+    EXPECT_EQ(watch.complaint(now), "");
     EXPECT_TRUE(read(yaw + 0.1));
+    EXPECT_THAT(watch.complaint(now), HasSubstr("very same reading"));
     for (int i = 0; i < 200; ++i) EXPECT_TRUE(read(yaw)) << "turning back makes no reading of it";
+    EXPECT_FALSE(watch.frozen(SensorMessage(magnetometer_t{}), now, yaw)) << "another one does";
   }
 }
 
-TEST(SensorWatch, ASensorThatTurnsWithTheBoardIsNotFrozen) {
+TEST(SensorWatch, ACompassThatIsSentMoreOftenThanItMeasuresIsNotFrozen) {
   SensorWatch watch("COMPASS");
   compass_t compass{};
-  for (int i = 0; i < 1000; ++i) {
-    compass.heading = -0.01 * i;
-    EXPECT_FALSE(watch.frozen(compass, 1'000'000 + 50'000 * i, 0.01 * i));
-  }
-}
-
-TEST(SensorWatch, AFrozenCameraIsSeenWithinASecondAtAnyRate) {
-  for (const int64_t period : {33'000, 100'000, 200'000}) {
-    SensorWatch watch("CAMERA");
-    image_t image{};
-    image.data.assign(100, 1);
-    int64_t now = 1'000'000;
-    for (int i = 0; i < 50; ++i) {
-      image.data[0] = static_cast<uint8_t>(i);
-      EXPECT_FALSE(watch.frozen(image, now += period, 0)) << i;
-    }
-    const int64_t freeze = now;
-    while (now < freeze + 1'000'000 && !watch.frozen(image, now += period, 0)) {
-    }
-    EXPECT_LT(now, freeze + 1'000'000) << period;
-    EXPECT_GT(now, freeze + 700'000) << period;
+  for (int i = 0; i < 1000; ++i) {  // five a second, four times each, at 170 degrees/s
+    if (i % 4 == 0) compass.heading = -0.15 * i;
+    EXPECT_FALSE(watch.frozen(compass, 1'000'000 + 50'000 * i, 0.15 * i));
   }
 }
 
@@ -223,7 +208,7 @@ TEST(SensorWatch, AFrozenCameraIsSeenWithinASecondAtAnyRate) {
 std::pair<int64_t, std::string> first_complaint(SensorWatch& watch, int64_t& now, int64_t period, int64_t duration,
                                                 const std::function<SensorMessage()>& read) {
   const int64_t start = now;
-  int64_t asked = now;
+  int64_t asked = now - now % 100'000;
   std::pair<int64_t, std::string> first{duration, ""};
   while (now < start + duration) {
     now += period;
@@ -232,52 +217,108 @@ std::pair<int64_t, std::string> first_complaint(SensorWatch& watch, int64_t& now
       const std::string complaint = watch.complaint(asked);
       if (first.second.empty() && !complaint.empty()) first = {asked - start, complaint};
     }
-    watch.judged(read(), "", now);
+    const SensorMessage message = read();
+    watch.judged(message, watch.frozen(message, now, 0) ? "frozen" : "", now);
   }
   return first;
 }
 
+// A camera over moving ground.
+class MovingPicture {
+ public:
+  SensorMessage operator()() {
+    ++number_;
+    return last();
+  }
+  SensorMessage last() const {
+    image_t image{};
+    image.data.assign(4, number_);
+    return image;
+  }
+
+ private:
+  uint8_t number_ = 0;
+};
+
+TEST(SensorWatch, AFrozenCameraIsSeenWithinASecondAtAnyRate) {
+  for (const int64_t period : {16'667, 33'333, 40'000, 66'667, 83'333, 100'000, 200'000}) {
+    for (int64_t phase = 0; phase < 100'000; phase += 7'000) {
+      SensorWatch watch("CAMERA");
+      MovingPicture see;
+      int64_t now = 1'000'000 + phase;
+      ASSERT_EQ(first_complaint(watch, now, period, 10'000'000, std::ref(see)).second, "") << period;
+      const auto [after, complaint] = first_complaint(watch, now, period, 3'000'000, [&] { return see.last(); });
+      EXPECT_LT(after, 1'000'000) << period << " " << phase;
+      EXPECT_GT(after, 700'000) << period;
+      EXPECT_THAT(complaint, HasSubstr("CAMERA: the very same reading"));
+      first_complaint(watch, now, period, 1'000'000, std::ref(see));
+      EXPECT_EQ(watch.complaint(now), "");
+    }
+  }
+}
+
 TEST(SensorWatch, ARateThatFallsBelowTwoFifthsOfItsOwnIsSeenWithinASecondUntilItIsBack) {
-  const auto any = [] { return kAny; };
+  MovingPicture see;
   for (const int64_t period : {1'000, 5'000, 33'000, 100'000}) {
     for (const int64_t slower : {3, 10}) {
       SensorWatch watch("CAMERA");
-      int64_t now = 1'000'000;
-      ASSERT_EQ(first_complaint(watch, now, period, 10'000'000, any).second, "") << period;
-      ASSERT_EQ(first_complaint(watch, now, 2 * period, 5'000'000, any).second, "") << "half of it is no fault";
-      ASSERT_EQ(first_complaint(watch, now, period, 20'000'000, any).second, "") << period;
-      const auto [after, complaint] = first_complaint(watch, now, slower * period, 60'000'000, any);
+      int64_t now = 1'037'000;
+      ASSERT_EQ(first_complaint(watch, now, period, 10'000'000, std::ref(see)).second, "") << period;
+      ASSERT_EQ(first_complaint(watch, now, 2 * period, 5'000'000, std::ref(see)).second, "")
+          << "half of it is no fault";
+      ASSERT_EQ(first_complaint(watch, now, period, 20'000'000, std::ref(see)).second, "") << period;
+      const auto [after, complaint] = first_complaint(watch, now, slower * period, 60'000'000, std::ref(see));
       EXPECT_LT(after, 1'000'000) << period << " " << slower;
       EXPECT_THAT(complaint, testing::AnyOf(HasSubstr("messages a second, where there were"), HasSubstr("silent")));
       EXPECT_NE(watch.complaint(now), "") << "it is not the usual rate, however long it lasts";
-      first_complaint(watch, now, period, 1'000'000, any);
+      first_complaint(watch, now, period, 1'000'000, std::ref(see));
       EXPECT_EQ(watch.complaint(now), "") << period;
     }
   }
 }
 
-TEST(SensorWatch, ABacklogThatComesAtOnceIsNotTheUsualRate) {
+TEST(SensorWatch, ASensorThatStopsIsSilentAndNotSlow) {
   SensorWatch watch("CAMERA");
-  const auto any = [] { return kAny; };
   int64_t now = 1'000'000;
-  first_complaint(watch, now, 1'000, 800'000, any);
-  EXPECT_EQ(first_complaint(watch, now, 33'000, 30'000'000, any).second, "");
+  MovingPicture see;
+  ASSERT_EQ(first_complaint(watch, now, 5'000, 10'000'000, std::ref(see)).second, "");
+  for (const int64_t end = now + 500'000; now < end; now += 10'000) EXPECT_EQ(watch.complaint(now), "");
+  EXPECT_THAT(watch.complaint(now + 1'000), HasSubstr("CAMERA: silent"));
 }
 
-// An IMU in a smooth flight: noise, gravity, and the same on all axes that `bad` leaves alone.
+TEST(SensorWatch, PausesThatAreAllowedAreNoSlowness) {
+  SensorWatch watch("CAMERA", 2);
+  int64_t now = 1'000'000;
+  MovingPicture see;
+  ASSERT_EQ(first_complaint(watch, now, 33'000, 30'000'000, std::ref(see)).second, "");
+  ASSERT_EQ(first_complaint(watch, now, 1'900'000, 1'900'000, std::ref(see)).second, "");
+  ASSERT_EQ(first_complaint(watch, now, 33'000, 30'000'000, std::ref(see)).second, "");
+}
+
+TEST(SensorWatch, ABacklogThatComesAtOnceIsNotTheUsualRate) {
+  SensorWatch watch("CAMERA");
+  MovingPicture see;
+  int64_t now = 1'000'000;
+  first_complaint(watch, now, 1'000, 800'000, std::ref(see));
+  EXPECT_EQ(first_complaint(watch, now, 33'000, 30'000'000, std::ref(see)).second, "");
+}
+
+// An IMU: noise of `vibration` on all axes, gravity, and what `bad` does to a reading.
 class FlyingImu {
  public:
   SensorMessage operator()() {
     imu_t imu{};
     for (int i = 0; i < 3; ++i) {
-      imu.angular_rate[i] = 0.05 * noise_(random_);
-      imu.specific_force[i] = (i == 2 ? 9.8 : 0.0) + 2 * noise_(random_);
+      imu.angular_rate[i] = 0.025 * vibration * noise();
+      imu.specific_force[i] = (i == 2 ? 9.8 : 0.0) + vibration * noise();
     }
     if (bad) bad(imu);
     return imu;
   }
-  std::function<void(imu_t&)> bad;
   double noise() { return noise_(random_); }
+
+  double vibration = 2;  // m/s^2
+  std::function<void(imu_t&)> bad;
 
  private:
   std::mt19937 random_{1};
@@ -290,18 +331,18 @@ TEST(SensorWatch, AnImuThatMeasuresWhatNoAircraftDoesIsSeenWithinASecond) {
       {[](imu_t& m) { m.angular_rate[1] = 0.125; }, "IMU: angular_rate[1] has read 0.125"},
       {[](imu_t& m) { m.specific_force[2] = 16; }, "IMU: specific_force[2] has read 16"},
       {[&](imu_t& m) { m.angular_rate[0] = 3 * imu.noise(); }, "IMU: angular_rate leaps"},
-      {[&](imu_t& m) { m.specific_force[0] = 100 * imu.noise(); }, "IMU: specific_force leaps"},
+      {[&](imu_t& m) { m.specific_force[0] = 150 * imu.noise(); }, "IMU: specific_force leaps"},
       {[](imu_t& m) {
          for (double& f : m.specific_force) f /= 9.8;
        },
        "is it in g?"},
       {[n = 0](imu_t& m) mutable { m.angular_rate[1] += ++n % 8 == 0 ? 5 : 0; }, "IMU: angular_rate leaps"},
-      {[](imu_t& m) { m.specific_force[1] += 80; }, "IMU: specific_force is"},
+      {[](imu_t& m) { m.specific_force[1] += 150; }, "IMU: specific_force is"},
       {[](imu_t& m) { m.angular_rate[2] += 30; }, "is it in degrees?"}};
   for (const auto& [bad, what] : cases) {
     for (const int64_t period : {1'000, 5'000, 20'000}) {
       SensorWatch watch("IMU");
-      int64_t now = 1'000'000;
+      int64_t now = 1'037'000;
       imu.bad = nullptr;
       ASSERT_EQ(first_complaint(watch, now, period, 10'000'000, std::ref(imu)).second, "");
       imu.bad = bad;
@@ -315,20 +356,61 @@ TEST(SensorWatch, AnImuThatMeasuresWhatNoAircraftDoesIsSeenWithinASecond) {
   }
 }
 
-TEST(SensorWatch, MotorsThatStartAndATurnAreNoMadness) {
+TEST(SensorWatch, WhatIsWrongWithAnImuIsAllSaid) {
   FlyingImu imu;
+  imu.bad = [n = 0](imu_t& m) mutable {
+    m.angular_rate[1] = 0.125;
+    if (++n % 5 == 0) m.angular_rate[0] = 1e9;
+  };
   SensorWatch watch("IMU");
-  int64_t now = 1'000'000;
-  imu.bad = [&](imu_t& m) {  // at rest, motors off
-    for (double& w : m.angular_rate) w = 0.002 * imu.noise();
-    for (int i = 0; i < 3; ++i) m.specific_force[i] = (i == 2 ? 9.8 : 0) + 0.02 * imu.noise();
-  };
-  EXPECT_EQ(first_complaint(watch, now, 5'000, 20'000'000, std::ref(imu)).second, "");
-  imu.bad = [&](imu_t& m) {  // badly mounted, in a turn of 3 g
-    for (double& w : m.angular_rate) w = 1.5 + 0.3 * imu.noise();
-    for (int i = 0; i < 3; ++i) m.specific_force[i] = (i == 2 ? 29 : 0) + 15 * imu.noise();
-  };
-  EXPECT_EQ(first_complaint(watch, now, 5'000, 20'000'000, std::ref(imu)).second, "");
+  for (int64_t now = 1'000'000; now < 3'000'000; now += 5'000) {
+    const SensorMessage message = imu();
+    watch.judged(message, std::get<imu_t>(message).angular_rate[0] > 1e6 ? "out of range" : "", now);
+  }
+  EXPECT_THAT(watch.complaint(3'000'000),
+              testing::AllOf(HasSubstr("refused: out of range"), HasSubstr("has read 0.125")));
+}
+
+TEST(SensorWatch, AnImuAtRestMayRepeatItselfForAWhileAndMeasuresItsWeight) {
+  FlyingImu imu;
+  imu.vibration = 0.01;
+  for (const int64_t period : {1'000, 5'000, 20'000}) {
+    SensorWatch watch("IMU");
+    int64_t now = 1'000'000, coarse_until = 0;
+    imu.bad = [&](imu_t& m) {
+      if (now < coarse_until) m.angular_rate[0] = 0.001;
+    };
+    for (int i = 0; i < 10; ++i) {
+      coarse_until = now + 5'000'000;
+      EXPECT_EQ(first_complaint(watch, now, period, 6'000'000, std::ref(imu)).second, "") << period;
+    }
+    coarse_until = now + 100'000'000;
+    const auto [after, complaint] = first_complaint(watch, now, period, 20'000'000, std::ref(imu));
+    EXPECT_THAT(complaint, HasSubstr("angular_rate[0] has read 0.001"));
+    EXPECT_GT(after, 9'000'000) << "a dead axis, after all";
+    imu.bad = [](imu_t& m) {
+      for (double& f : m.specific_force) f *= 2;
+    };
+    first_complaint(watch, now, period, 1'000'000, std::ref(imu));
+    EXPECT_THAT(watch.complaint(now), HasSubstr("is its scale right?"));
+  }
+}
+
+TEST(SensorWatch, MotorsThatStartVibrationsAndATurnAreNoMadness) {
+  FlyingImu imu;
+  for (const int64_t period : {1'000, 5'000, 20'000}) {
+    SensorWatch watch("IMU");
+    int64_t now = 1'037'000;
+    imu.bad = nullptr;
+    imu.vibration = 0.02;
+    EXPECT_EQ(first_complaint(watch, now, period, 20'000'000, std::ref(imu)).second, "") << "motors off";
+    imu.bad = [](imu_t& m) {  // in a turn of 3 g
+      for (double& w : m.angular_rate) w = 1 + 0.3 * w;
+      m.specific_force[2] += 19.6;
+    };
+    imu.vibration = 30;
+    EXPECT_EQ(first_complaint(watch, now, period, 100'000'000, std::ref(imu)).second, "") << period;
+  }
 }
 
 class SensorOptionsFile : public testing::Test {
