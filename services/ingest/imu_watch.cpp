@@ -1,5 +1,8 @@
 #include "services/ingest/imu_watch.h"
 
+#include <string>
+#include <vector>
+
 #include <fmt/format.h>
 
 namespace orthonav::ingest {
@@ -8,8 +11,8 @@ namespace {
 
 constexpr int64_t kWindow = 500'000;  // microseconds
 constexpr size_t kFewest = 10;        // readings
-// For how long, in microseconds, an axis may read the very same. At rest, well filtered noise is no larger than the
-// last digit.
+// For how long, in microseconds, an axis may read the very same. At rest, and until it has had the time to move
+// afterwards, well filtered noise is no larger than the last digit.
 constexpr int64_t kDead = 450'000, kDeadAtRest = 10'000'000;
 constexpr double kTolerableLeaps = 0.1;  // of the steps
 constexpr int kFewestLeaps = 5;          // two readings by chance make four
@@ -67,25 +70,28 @@ std::string ImuWatch::complaint(int64_t now) {
                        variance.tail<3>().maxCoeff() < kForce.at_rest * kForce.at_rest &&
                        mean.head<3>().norm() < kRestingRate;
 
+  if (at_rest) rested_ = now;
+
+  std::vector<std::string> faults;
+  const int64_t longest = now - rested_ > kWindow + kDead ? kDead : kDeadAtRest;
   for (int i = 0; i < 6; ++i) {
-    if (recent_.back().time - changed_[i] > (at_rest ? kDeadAtRest : kDead))
-      return fmt::format("{}[{}] has read {} for {:.1f} s", (i < 3 ? kRate : kForce).name, i % 3,
-                         recent_.back().axes[i], 1e-6 * static_cast<double>(now - changed_[i]));
+    if (recent_.back().time - changed_[i] <= longest) continue;
+    faults.push_back(fmt::format("{}[{}] has read {} for {:.1f} s", (i < 3 ? kRate : kForce).name, i % 3,
+                                 recent_.back().axes[i], 1e-6 * static_cast<double>(now - changed_[i])));
   }
-  const auto fault = [&](const Bounds& bounds, int leaps, double size) -> std::string {
+  const auto judge = [&](const Bounds& bounds, int leaps, double size) {
     if (leaps >= kFewestLeaps && leaps > kTolerableLeaps * (count - 1))
-      return fmt::format("{} leaps by more than {} {} in {} of {} readings", bounds.name, bounds.leap, bounds.unit,
-                         leaps, recent_.size() - 1);
+      faults.push_back(fmt::format("{} leaps by more than {} {} in {} of {} readings", bounds.name, bounds.leap,
+                                   bounds.unit, leaps, recent_.size() - 1));
     if (size < bounds.smallest || size > bounds.largest)
-      return fmt::format("{} is {:.2f} {} in the mean: {}", bounds.name, size, bounds.unit, bounds.why);
-    return {};
+      faults.push_back(fmt::format("{} is {:.2f} {} in the mean: {}", bounds.name, size, bounds.unit, bounds.why));
   };
-  if (std::string wrong = fault(kRate, rate_leaps, mean.head<3>().norm()); !wrong.empty()) return wrong;
+  judge(kRate, rate_leaps, mean.head<3>().norm());
   const double force = mean.tail<3>().norm();
-  if (std::string wrong = fault(kForce, force_leaps, force); !wrong.empty()) return wrong;
-  if (at_rest && (force < kLeastWeight || force > kMostWeight))
-    return fmt::format("specific_force is {:.2f} m/s^2 at rest: is its scale right?", force);
-  return {};
+  judge(kForce, force_leaps, force);
+  if (at_rest && force > kForce.smallest && (force < kLeastWeight || force > kMostWeight))
+    faults.push_back(fmt::format("specific_force is {:.2f} m/s^2 at rest: is its scale right?", force));
+  return fmt::format("{}", fmt::join(faults, ", "));
 }
 
 }  // namespace orthonav::ingest

@@ -35,6 +35,7 @@ class ImuWatch {
 
   std::deque<Reading> recent_;
   Eigen::Matrix<int64_t, 6, 1> changed_;  // when each axis last read something else than before
+  int64_t rested_ = -1'000'000;           // when the aircraft was last at rest
 };
 
 }  // namespace orthonav::ingest

@@ -20,7 +20,8 @@ constexpr std::chrono::milliseconds kPublishPeriod{1};
 constexpr std::chrono::milliseconds kWatchPeriod{100};
 // Seconds: a camera behind a network is some late, and no sensor is early but by what its clock was set by.
 constexpr double kLatest = 5, kEarliest = 0.1;
-constexpr double kLongestStep = 0.1;  // s from sample to sample; over a longer one the turn is not known
+// A turn is known from samples that are no further apart, s, and no faster, rad/s.
+constexpr double kLongestStep = 0.1, kFastestTurn = 10;
 
 // What is wrong with a stamp that comes now; empty when it may be right. In doubles, for a stamp may be anything.
 std::string clock_fault(int64_t utime, int64_t now) {
@@ -59,7 +60,7 @@ void SensorService::publish_what_came() {
       found->second.judged(*event.message, fault, now);
     } else if (found->second.frozen(*event.message, now, yaw_)) {
       node_.health().add("rejected." + found->first + ".frozen");
-      found->second.judged(*event.message, "frozen", now);
+      found->second.judged(*event.message, "the very same reading again and again", now);
     } else {
       fault = publish_checked(node_, validator_, compass_, event);
       found->second.judged(*event.message, fault, now);
@@ -71,13 +72,14 @@ void SensorService::publish_what_came() {
 
 void SensorService::turn(const imu_t& imu) {
   const double elapsed = 1e-6 * static_cast<double>(imu.utime - imu_utime_);
-  if (imu_is_sound_ && elapsed > 0 && elapsed < kLongestStep) yaw_ += elapsed * imu.angular_rate[2];
+  if (elapsed > 0 && elapsed < kLongestStep && std::abs(imu.angular_rate[2]) < kFastestTurn)
+    yaw_ += elapsed * imu.angular_rate[2];
   imu_utime_ = imu.utime;
 }
 
 void SensorService::watch() {
   std::string complaint;
-  imu_is_sound_ = true;
+  bool imu_is_sound = true;
   const int64_t now = clock_.now();
   for (const auto& reader : readers_) {
     if (reader->ended()) continue;
@@ -86,7 +88,7 @@ void SensorService::watch() {
       node_.health().set("rate_hz." + channel, validator_.rate_hz(channel));
       const std::string fault = watches_.at(channel).complaint(now);
       if (fault.empty()) continue;
-      if (channel == channel::kImu) imu_is_sound_ = false;
+      if (channel == channel::kImu) imu_is_sound = false;
       wrong += (wrong.empty() ? "" : ", ") + fault;
     }
     if (wrong.empty()) continue;
@@ -94,6 +96,8 @@ void SensorService::watch() {
     complaint +=
         fmt::format("{}{} ({})", complaint.empty() ? "" : "; ", wrong, trouble.empty() ? reader->name() : trouble);
   }
+  if (!imu_is_sound)
+    for (auto& [channel, watch] : watches_) watch.forget_turn(now, yaw_);
   // Seconds and shares go on counting; what is news has other words.
   std::string words = complaint;
   std::erase_if(words, [](char c) { return std::isdigit(static_cast<unsigned char>(c)) != 0 || c == '.' || c == '-'; });

@@ -38,7 +38,6 @@ class SensorService : public Service {
   std::vector<SensorEvent> events_;
   double yaw_ = 0;  // rad about the body's z, integrated, from any start
   int64_t imu_utime_ = 0;
-  bool imu_is_sound_ = true;
   std::string words_;  // of the last complaint
 };
 

@@ -73,13 +73,19 @@ bool SensorWatch::frozen(const SensorMessage& message, int64_t now, double yaw) 
     turned_ = frozen_ = false;
   }
   ++same_count_;
-  turned_ = turned_ || std::abs(yaw - yaw_) > kSeenTurn;
   if (now - yaw_time_ > kTurnTime) {
     yaw_time_ = now;
     yaw_ = yaw;
   }
+  turned_ = turned_ || std::abs(yaw - yaw_) > kSeenTurn;
   frozen_ = same_count_ >= reading.most && now - same_since_ >= reading.longest && (turned_ || !reading.until_a_turn);
   return frozen_;
+}
+
+void SensorWatch::forget_turn(int64_t now, double yaw) {
+  yaw_time_ = now;
+  yaw_ = yaw;
+  turned_ = false;
 }
 
 void SensorWatch::judged(const SensorMessage& message, const std::string& fault, int64_t now) {
@@ -99,9 +105,8 @@ std::string SensorWatch::complaint(int64_t now) {
   while (!recent_.empty() && now - recent_.front().time > window_) recent_.pop_front();
   const auto refused = std::count_if(recent_.begin(), recent_.end(), [](const auto& j) { return j.refused; });
   std::vector<std::string> faults;
-  if (frozen_) {
-    faults.push_back("the very same reading again and again");
-  } else if (refused > 0 && static_cast<double>(refused) > kTolerableRefusals * static_cast<double>(recent_.size())) {
+  const double tolerable = frozen_ ? 0 : kTolerableRefusals * static_cast<double>(recent_.size());
+  if (static_cast<double>(refused) > tolerable) {
     faults.push_back(fmt::format("{} of {} messages of the last {} ms refused: {}", refused, recent_.size(),
                                  window_ / 1000, last_fault_));
   }

@@ -20,6 +20,8 @@ class SensorWatch {
   // reads the very same on all axes for 0.3 s, a camera that shows the very same for 0.8 s (and 4 images), a compass or
   // a magnetometer that reads the very same for 0.5 s (and 4 times) in which the board turned by 20 degrees within 2 s.
   bool frozen(const SensorMessage& message, int64_t now, double yaw);
+  // The IMU by which the board turned is mad: no compass is frozen for that.
+  void forget_turn(int64_t now, double yaw);
   // What became of it: `fault` is what was wrong with it, empty when it was published.
   void judged(const SensorMessage& message, const std::string& fault, int64_t now);
 

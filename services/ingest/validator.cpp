@@ -14,6 +14,8 @@ constexpr double kGapPeriods = 3.0;
 constexpr double kFastestTurn = 100;      // rad/s
 constexpr double kLargestForce = 500;     // m/s^2
 constexpr double kStrongestField = 3e-3;  // T
+constexpr double kLargestHeading = 13;    // rad, two turns
+constexpr double kHighest = 20'000;       // m
 // A clock that was set back stays back: after so many refusals in a row its new time is taken over.
 constexpr int kRefusalsUntilNewTime = 50;
 
@@ -49,7 +51,9 @@ struct FaultOf {
     return {};
   }
   Fault operator()(const compass_t& m) const {
-    return std::isfinite(m.heading) ? Fault{} : Fault{"nan", "heading is not finite"};
+    if (!std::isfinite(m.heading)) return {"nan", "heading is not finite"};
+    if (std::abs(m.heading) > kLargestHeading) return {"range", fmt::format("heading is {:.0f} rad", m.heading)};
+    return {};
   }
   Fault operator()(const magnetometer_t& m) const {
     for (const double component : m.field) {
@@ -59,7 +63,10 @@ struct FaultOf {
     return {};
   }
   Fault operator()(const altitude_t& m) const {
-    return std::isfinite(m.height_above_ground) ? Fault{} : Fault{"nan", "height_above_ground is not finite"};
+    if (!std::isfinite(m.height_above_ground)) return {"nan", "height_above_ground is not finite"};
+    if (std::abs(m.height_above_ground) > kHighest)
+      return {"range", fmt::format("height_above_ground is {:.0f} m", m.height_above_ground)};
+    return {};
   }
   Fault operator()(const gnss_reference_t& m) const {
     return std::isfinite(m.latitude_deg + m.longitude_deg + m.ellipsoidal_height)

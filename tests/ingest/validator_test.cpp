@@ -65,6 +65,14 @@ TEST(Validator, RefusesWhatNoSensorOfASmallAircraftReads) {
   field.utime = 1000;
   field.field[2] = 0.1;
   EXPECT_EQ(validator.check(field).reason, "range");
+  compass_t compass{};
+  compass.utime = 1000;
+  compass.heading = 360;
+  EXPECT_EQ(validator.check(compass).reason, "range") << "degrees are no radians";
+  altitude_t altitude{};
+  altitude.utime = 1000;
+  altitude.height_above_ground = 1e9;
+  EXPECT_EQ(validator.check(altitude).reason, "range");
 }
 
 TEST(Validator, RefusesTimeThatDoesNotAdvancePerChannel) {
