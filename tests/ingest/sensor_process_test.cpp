@@ -455,47 +455,52 @@ class SerialPort {
   int master_ = -1, slave_ = -1;
 };
 
-TEST_F(SensorsOfABoard, ASerialPortThatIsPulledOutIsReportedWithinASecondAndReadAgainWhenItIsBack) {
-  SerialPort port(folder_ / "ttyIMU");
-  start(fmt::format("lines:\n  port: {}\n  baud: 921600\n", (folder_ / "ttyIMU").string()));
-  int number = 0;
-  const auto speak = [&] {
-    ++number;
-    port.say(imu_line(10'000 * number, number));
+// An IMU, and what else a test lets it say, a hundred lines a second.
+class SensorsOnASerialPort : public SensorsOfABoard {
+ protected:
+  void start_lines(const std::string& more = "") {
+    start(fmt::format("lines:\n  port: {}\n{}", (folder_ / "ttyIMU").string(), more));
+  }
+  int64_t time() const { return 10'000 * number_; }
+  void say(const std::string& text) const { port_.say(line(text)); }
+  // Says `readings` at the next time, with noise in them: {n} around nothing, {g} around gravity, {g_in_g}, and {leap}.
+  std::function<void()> says(const std::string& readings) {
+    return [this, readings] {
+      ++number_;
+      const double noise = 0.01 * (number_ % 7);
+      say(fmt::format(
+          "IMU,{},{}", time(),
+          fmt::format(fmt::runtime(readings), fmt::arg("n", noise), fmt::arg("g", 9.81 + noise),
+                      fmt::arg("g_in_g", 1 + noise), fmt::arg("leap", number_ % 4 == 0 ? 8 : 0.1 + noise))));
+    };
+  }
+  bool recovers() {
+    const size_t before = imu_.messages.size();
+    return play_until(speak_, [&] { return imu_.messages.size() > before + 20 && sound(); });
+  }
+
+  SerialPort port_{folder_ / "ttyIMU"};
+  int number_ = 0;
+  const std::function<void()> speak_ = [this] {
+    ++number_;
+    port_.say(imu_line(time(), number_));
   };
-  ASSERT_TRUE(play_until(speak, [&] { return imu_.messages.size() > 20 && sound(); })) << last_message();
-  port.unplug();
+};
+
+TEST_F(SensorsOnASerialPort, ASerialPortThatIsPulledOutIsReportedWithinASecondAndReadAgainWhenItIsBack) {
+  start_lines("  baud: 921600\n");
+  ASSERT_TRUE(recovers()) << last_message();
+  port_.unplug();
   EXPECT_LT(time_until_said("IMU: silent"), 1.0);
   EXPECT_THAT(last_message(), HasSubstr("ttyIMU"));
-  port.plug();
-  number = 0;
-  const size_t before = imu_.messages.size();
-  ASSERT_TRUE(play_until(speak, [&] { return imu_.messages.size() > before + 20 && sound(); })) << last_message();
+  port_.plug();
+  number_ = 0;
+  ASSERT_TRUE(recovers()) << last_message();
 }
 
-TEST_F(SensorsOfABoard, AnInertialSensorThatGoesMadIsReportedWithinASecond) {
-  SerialPort port(folder_ / "ttyIMU");
-  start(fmt::format("lines:\n  port: {}\n", (folder_ / "ttyIMU").string()));
-  int number = 0;
-  const auto speak = [&] {
-    ++number;
-    port.say(imu_line(10'000 * number, number));
-  };
-  const auto recovers = [&] {
-    const size_t before = imu_.messages.size();
-    return play_until(speak, [&] { return imu_.messages.size() > before + 20 && sound(); });
-  };
+TEST_F(SensorsOnASerialPort, AnInertialSensorThatGoesMadIsReportedWithinASecond) {
+  start_lines();
   ASSERT_TRUE(recovers()) << last_message();
-  const auto says = [&](const std::string& readings) {
-    return [&, readings] {
-      ++number;
-      const double noise = 0.01 * (number % 7);
-      port.say(line(fmt::format(
-          "IMU,{},{}", 10'000 * number,
-          fmt::format(fmt::runtime(readings), fmt::arg("n", noise), fmt::arg("g", 9.81 + noise),
-                      fmt::arg("g_in_g", 1 + noise), fmt::arg("leap", number % 4 == 0 ? 8 : 0.1 + noise)))));
-    };
-  };
   EXPECT_LT(time_until_said("refused: IMU", says("nan,{n},{n},{n},{n},{g}")), 1.0);
   ASSERT_TRUE(recovers()) << last_message();
   EXPECT_LT(time_until_said("refused: IMU", says("1e9,{n},{n},{n},{n},{g}")), 1.0);
@@ -509,61 +514,39 @@ TEST_F(SensorsOfABoard, AnInertialSensorThatGoesMadIsReportedWithinASecond) {
   ASSERT_TRUE(recovers()) << last_message();
 }
 
-TEST_F(SensorsOfABoard, WhatGoesWrongWhileSomethingElseIsIsReportedWithinASecondToo) {
-  SerialPort port(folder_ / "ttyIMU");
-  start(fmt::format("lines:\n  port: {}\n  channels: [COMPASS, IMU]\n", (folder_ / "ttyIMU").string()));
-  int number = 0;
-  bool dead = false;
-  const auto speak = [&] {
-    ++number;
-    const double noise = 0.01 * (number % 7);
-    port.say(
-        dead ? line(fmt::format("IMU,{},{},0.5,{},{},{},{}", 10'000 * number, noise, noise, noise, noise, 9.8 + noise))
-             : imu_line(10'000 * number, number));
-  };
+TEST_F(SensorsOnASerialPort, WhatGoesWrongWhileSomethingElseIsIsReportedWithinASecondToo) {
+  start_lines("  channels: [COMPASS, IMU]\n");
   const auto point = [&] {
-    speak();
-    if (number % 5 == 0) port.say(line(fmt::format("HDG,{},{},2", 10'000 * number, 10 + number % 3)));
+    speak_();
+    if (number_ % 5 == 0) say(fmt::format("HDG,{},{},2", time(), 10 + number_ % 3));
   };
   ASSERT_TRUE(play_until(point, [&] { return compass_.messages.size() > 20 && sound(); })) << last_message();
-  EXPECT_LT(time_until_said("COMPASS: silent", speak), 1.0);
+  EXPECT_LT(time_until_said("COMPASS: silent", speak_), 1.0);
   const size_t before = imu_.messages.size();
-  ASSERT_TRUE(play_until(speak, [&] { return imu_.messages.size() > before + 150; }));
-  dead = true;
-  EXPECT_LT(time_until_said("IMU: angular_rate[1] has read 0.5", speak), 1.0);
+  ASSERT_TRUE(play_until(speak_, [&] { return imu_.messages.size() > before + 150; }));
+  EXPECT_LT(time_until_said("IMU: angular_rate[1] has read 0.5", says("{n},0.5,{n},{n},{n},{g}")), 1.0);
   EXPECT_THAT(last_message(), HasSubstr("COMPASS: silent"));
 }
 
-TEST_F(SensorsOfABoard, AnInertialSensorThatSlowsDownIsReportedWithinASecond) {
-  SerialPort port(folder_ / "ttyIMU");
-  start(fmt::format("lines:\n  port: {}\n", (folder_ / "ttyIMU").string()));
-  int number = 0;
-  const auto speak = [&] {
-    ++number;
-    port.say(imu_line(10'000 * number, number));
-  };
+TEST_F(SensorsOnASerialPort, AnInertialSensorThatSlowsDownIsReportedWithinASecond) {
+  start_lines();
   const auto mumble = [&] {
-    if (++number % 20 == 0) port.say(imu_line(10'000 * number, number / 20));
+    if (++number_ % 20 == 0) port_.say(imu_line(time(), number_ / 20));
   };
-  ASSERT_TRUE(play_until(speak, [&] { return imu_.messages.size() > 600 && sound(); })) << last_message();
+  ASSERT_TRUE(play_until(speak_, [&] { return imu_.messages.size() > 600 && sound(); })) << last_message();
   EXPECT_LT(time_until_said("messages a second, where there were", mumble), 1.0);
-  EXPECT_TRUE(play_until(speak, [&] { return sound(); })) << last_message();
+  EXPECT_TRUE(play_until(speak_, [&] { return sound(); })) << last_message();
 }
 
-TEST_F(SensorsOfABoard, ACompassThatStandsStillWhileTheBoardTurnsIsReportedAndKeptOffTheBus) {
-  SerialPort port(folder_ / "ttyIMU");
-  start(fmt::format("lines:\n  port: {}\n  channels: [IMU, COMPASS]\n", (folder_ / "ttyIMU").string()));
-  int number = 0;
+TEST_F(SensorsOnASerialPort, ACompassThatStandsStillWhileTheBoardTurnsIsReportedAndKeptOffTheBus) {
+  start_lines("  channels: [IMU, COMPASS]\n");
   double yaw = 0, heading = 0;
   // `rate`, rad/s
   const auto turn = [&](double rate, bool frozen) {
-    ++number;
-    const double noise = 0.01 * (number % 7);
     yaw += 0.01 * rate;
     if (!frozen) heading = 180 - yaw * 180 / M_PI;
-    port.say(line(fmt::format("IMU,{},{},{},{},{},{},{}", 10'000 * number, noise, noise, rate + noise, noise, noise,
-                              9.81 + noise)));
-    if (number % 5 == 0) port.say(line(fmt::format("HDG,{},{:.1f},2", 10'000 * number, heading)));
+    says(fmt::format("{{n}},{{n}},{},{{n}},{{n}},{{g}}", rate + 0.001 * (number_ % 7)))();
+    if (number_ % 5 == 0) say(fmt::format("HDG,{},{:.1f},2", time(), heading));
   };
   ASSERT_TRUE(play_until([&] { turn(0.5, false); }, [&] { return compass_.messages.size() > 40 && sound(); }))
       << last_message();
