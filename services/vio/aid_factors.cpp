@@ -28,8 +28,8 @@ bool StandstillFactor::Evaluate(double const* const* parameters, double* residua
 }
 
 HeightFactor::HeightFactor(const HeightMeasurement& measured, const Eigen::Vector3d& ray_i,
-                           const Extrinsics& extrinsics, const Frame& i, const Frame& j)
-    : measured_(measured), ray_i_(ray_i), extrinsics_(extrinsics), i_(i), j_(j) {}
+                           const Extrinsics& extrinsics)
+    : measured_(measured), ray_i_(ray_i), extrinsics_(extrinsics) {}
 
 double HeightFactor::evaluate(const HeightMeasurement& measured, const Eigen::Vector3d& ray_i,
                               const Extrinsics& extrinsics, const double* pose_i, const double* pose_j,
@@ -51,12 +51,10 @@ double HeightFactor::evaluate(const HeightMeasurement& measured, const Eigen::Ve
 }
 
 bool HeightFactor::Evaluate(double const* const* parameters, double* residuals, double** jacobians) const {
-  residuals[0] =
-      evaluate(measured_, ray_i_, extrinsics_, parameters[0], parameters[1], *parameters[2], *parameters[3], nullptr);
-  if (!jacobians) return true;
   Jacobians J;
-  evaluate(measured_, ray_i_, extrinsics_, i_.pose_fixed ? i_.first_estimate.pose.data() : parameters[0],
-           j_.pose_fixed ? j_.first_estimate.pose.data() : parameters[1], *parameters[2], *parameters[3], &J);
+  residuals[0] =
+      evaluate(measured_, ray_i_, extrinsics_, parameters[0], parameters[1], *parameters[2], *parameters[3], &J);
+  if (!jacobians) return true;
   put_pose(jacobians[0], J.pose_i);
   put_pose(jacobians[1], J.pose_j);
   if (jacobians[2]) *jacobians[2] = J.inverse_depth;
@@ -64,20 +62,15 @@ bool HeightFactor::Evaluate(double const* const* parameters, double* residuals, 
   return true;
 }
 
-DistanceFactor::DistanceFactor(double distance, double sigma, const Frame& i, const Frame& j)
-    : distance_(distance), sigma_(sigma), i_(i), j_(j) {}
+DistanceFactor::DistanceFactor(double distance, double sigma) : distance_(distance), sigma_(sigma) {}
 
 bool DistanceFactor::Evaluate(double const* const* parameters, double* residuals, double** jacobians) const {
-  const auto between = [](const double* from, const double* to) {
-    return Eigen::Vector3d(Eigen::Map<const Eigen::Vector3d>(to) - Eigen::Map<const Eigen::Vector3d>(from));
-  };
-  residuals[0] = (between(parameters[0], parameters[1]).norm() - distance_) / sigma_;
+  const Eigen::Vector3d way =
+      Eigen::Map<const Eigen::Vector3d>(parameters[1]) - Eigen::Map<const Eigen::Vector3d>(parameters[0]);
+  residuals[0] = (way.norm() - distance_) / sigma_;
   if (!jacobians) return true;
-  const Eigen::Vector3d direction = between(i_.pose_fixed ? i_.first_estimate.pose.data() : parameters[0],
-                                            j_.pose_fixed ? j_.first_estimate.pose.data() : parameters[1])
-                                        .normalized();
   Eigen::Matrix<double, 1, 6> J = Eigen::Matrix<double, 1, 6>::Zero();
-  J.leftCols<3>() = direction.transpose() / sigma_;
+  J.leftCols<3>() = way.normalized().transpose() / sigma_;
   put_pose(jacobians[1], J);
   put_pose(jacobians[0], -J);
   return true;

@@ -22,7 +22,7 @@ class StandstillFactor final : public ceres::SizedCostFunction<3, 9> {
 
 // A height above ground: frame j's height over a landmark, plus the sensor's bias, minus the measurement. It holds the
 // scale because the landmark's depth takes part. Parameters: pose of the anchor (7), pose of frame j (7), inverse
-// depth (1), height bias (1). Jacobians of fixed poses are taken at their first estimates.
+// depth (1), height bias (1).
 class HeightFactor final : public ceres::SizedCostFunction<1, 7, 7, 1, 1> {
  public:
   struct Jacobians {
@@ -30,9 +30,8 @@ class HeightFactor final : public ceres::SizedCostFunction<1, 7, 7, 1, 1> {
     double inverse_depth = 0, bias = 0;
   };
 
-  // The frames and the extrinsics outlive the factor. The anchor and j may be the same frame: then give `j` only.
-  HeightFactor(const HeightMeasurement& measured, const Eigen::Vector3d& ray_i, const Extrinsics& extrinsics,
-               const Frame& i, const Frame& j);
+  // The extrinsics outlive the factor.
+  HeightFactor(const HeightMeasurement& measured, const Eigen::Vector3d& ray_i, const Extrinsics& extrinsics);
 
   bool Evaluate(double const* const* parameters, double* residuals, double** jacobians) const override;
 
@@ -44,21 +43,17 @@ class HeightFactor final : public ceres::SizedCostFunction<1, 7, 7, 1, 1> {
   HeightMeasurement measured_;
   Eigen::Vector3d ray_i_;
   const Extrinsics& extrinsics_;
-  const Frame& i_;
-  const Frame& j_;
 };
 
 // The distance between two frames is `distance` to `sigma`, m: a scale hint, made at the window's shape of its time.
 // Parameters: their poses (7, 7).
 class DistanceFactor final : public ceres::SizedCostFunction<1, 7, 7> {
  public:
-  DistanceFactor(double distance, double sigma, const Frame& i, const Frame& j);
+  DistanceFactor(double distance, double sigma);
   bool Evaluate(double const* const* parameters, double* residuals, double** jacobians) const override;
 
  private:
   double distance_, sigma_;
-  const Frame& i_;
-  const Frame& j_;
 };
 
 }  // namespace orthonav::vio

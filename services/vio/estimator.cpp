@@ -36,7 +36,6 @@ void Estimator::reset() {
   prior_ = {};
   hints_.clear();
   new_hint_.reset();
-  shared_.camera_fixed = shared_.time_fixed = shared_.height_fixed = false;
   shared_.height_free = false;
   shared_.state.height_bias[0] = 0;
   rates_.clear();
@@ -55,6 +54,7 @@ void Estimator::reset() {
   height_ = std::numeric_limits<double>::quiet_NaN();
   pose_covariance_.setConstant(std::numeric_limits<double>::quiet_NaN());
   velocity_covariance_.setConstant(std::numeric_limits<double>::quiet_NaN());
+  bias_covariance_.setConstant(std::numeric_limits<double>::quiet_NaN());
   scale_stddev_ = std::numeric_limits<double>::quiet_NaN();
   q_P_W_.setIdentity();
   p_P_W_.setZero();
@@ -131,6 +131,7 @@ Estimator::Status Estimator::process(int64_t utime, const std::vector<TrackedFea
   choose_height_landmark(newest);
   if (newest.keyframe) take_hint();
   optimise(options_.iterations, kTolerance);
+  prior_.follow();
   find_outliers();
   if (newest.keyframe) measure_noise(kNoiseShare);
   gyro_bias_ = newest.state.bg();

@@ -16,7 +16,7 @@
 //
 // When the window is full the oldest keyframe is marginalised with the landmarks that begin in it and are no longer
 // seen. Landmarks that are still seen only lose that observation and are anchored at their next one: nothing is used
-// twice. Jacobians of frames in the prior stay at their first estimates.
+// twice. What it leaves behind goes along with the estimate (prior.h).
 //
 // What is told to others continues what was told before. Each optimisation moves the whole window a little, mostly in
 // tilt (which trades against the accelerometer's bias) and about the ground, 0.2 m at 110 m: a jump that is no motion
@@ -40,6 +40,7 @@
 #include "common/camera/camera_model.h"
 #include "services/vio/bearing_rates.h"
 #include "services/vio/memory.h"
+#include "services/vio/normal_equations.h"
 #include "services/vio/prior.h"
 #include "services/vio/state.h"
 
@@ -158,7 +159,9 @@ class Estimator {
   // Covariance of (position in W, rotation vector in W) as of the newest keyframe; NaN before the first.
   const Eigen::Matrix<double, 6, 6>& pose_covariance() const { return pose_covariance_; }
   const Eigen::Matrix3d& velocity_covariance() const { return velocity_covariance_; }  // in W; likewise
-  double scale_stddev() const { return scale_stddev_; }                                // relative; likewise
+  // Of (accelerometer bias, gyroscope bias) in B; likewise.
+  const Eigen::Matrix<double, 6, 6>& bias_covariance() const { return bias_covariance_; }
+  double scale_stddev() const { return scale_stddev_; }  // relative; likewise
   size_t window_size() const { return frames_.size(); }
 
  private:
@@ -261,6 +264,7 @@ class Estimator {
   std::optional<Memory> memory_;
   Eigen::Matrix<double, 6, 6> pose_covariance_;
   Eigen::Matrix3d velocity_covariance_;
+  Eigen::Matrix<double, 6, 6> bias_covariance_;
   double scale_stddev_ = 0;
   // The published world from the window's.
   Eigen::Quaterniond q_P_W_ = Eigen::Quaterniond::Identity();

@@ -97,7 +97,7 @@ void Estimator::update_covariance(const NormalEquations& equations, Keyframe& ke
   for (const int offset : {equations.pose_offset(previous), equations.pose_offset(newest)}) {
     for (int k = 0; k < 6; ++k) rows.push_back(offset + k);
   }
-  for (int k = 0; k < 3; ++k) rows.push_back(equations.speed_bias_offset(newest) + k);
+  for (int k = 0; k < 9; ++k) rows.push_back(equations.speed_bias_offset(newest) + k);
   const Eigen::MatrixXd joint = equations.covariance(rows);
   scale_stddev_ = scale_sigma(equations);
   keyframe.scale_stddev = scale_stddev_;
@@ -110,7 +110,8 @@ void Estimator::update_covariance(const NormalEquations& equations, Keyframe& ke
   to_world.topLeftCorner<3, 3>() = R_P_W;
   to_world.bottomRightCorner<3, 3>() = R_P_W * R_new;
   pose_covariance_ = to_world * joint.block<6, 6>(6, 6) * to_world.transpose();
-  velocity_covariance_ = R_P_W * joint.bottomRightCorner<3, 3>() * R_P_W.transpose();
+  velocity_covariance_ = R_P_W * joint.block<3, 3>(12, 12) * R_P_W.transpose();
+  bias_covariance_ = joint.bottomRightCorner<6, 6>();
   if (previous.keyframe_id == keyframe.id - 1 && previous.keyframe_id >= 0) {
     Eigen::Matrix<double, 6, 12> J = Eigen::Matrix<double, 6, 12>::Zero();
     J.block<3, 3>(0, 0) = -R_prev.transpose();

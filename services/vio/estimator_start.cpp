@@ -147,7 +147,6 @@ bool Estimator::solve_start() {
     for (const auto& frame : frames_) {
       frame->state = StateValues{};
       frame->state.bg() = gyro_bias_;
-      frame->pose_fixed = frame->speed_bias_fixed = false;
       frame->still_sigma.reset();
     }
     prior_ = {};
@@ -249,11 +248,9 @@ void Estimator::start_prior(const SharedValues& shared, double gyro_sigma) {
   InitialUncertainty sigma;
   sigma.accel_bias = options_.accel_bias_sigma;
   sigma.gyro_bias = gyro_sigma;
-  frames_.front()->pose_fixed = frames_.front()->speed_bias_fixed = false;
   prior_ = make_initial_prior(*frames_.front(), sigma, Eigen::Vector3d::Zero(), gyro_bias_);
   shared_.state = shared;
   extrinsics_ = shared.extrinsics();
-  shared_.camera_fixed = shared_.time_fixed = shared_.height_fixed = false;
   SharedUncertainty uncertain;
   uncertain.camera_rotation = options_.extrinsics_sigma_deg * 3.14159265358979323846 / 180;
   uncertain.camera_position = options_.extrinsics_sigma_m;

@@ -6,15 +6,8 @@
 
 namespace orthonav::vio {
 
-StateValues linearisation_point(const Frame& frame, const StateValues& current) {
-  StateValues values = current;
-  if (frame.pose_fixed) values.pose = frame.first_estimate.pose;
-  if (frame.speed_bias_fixed) values.speed_bias = frame.first_estimate.speed_bias;
-  return values;
-}
-
-ImuFactor::ImuFactor(const Preintegration& preintegration, const Frame& i, const Frame& j, double gravity)
-    : preintegration_(preintegration), i_(i), j_(j), gravity_(gravity) {}
+ImuFactor::ImuFactor(const Preintegration& preintegration, double gravity)
+    : preintegration_(preintegration), gravity_(gravity) {}
 
 void ImuFactor::evaluate(const Preintegration& pre, const StateValues& i, const StateValues& j, double gravity,
                          Vector15* residual, Jacobians* jacobians) {
@@ -75,11 +68,10 @@ bool ImuFactor::Evaluate(double const* const* parameters, double* residuals, dou
   std::copy_n(parameters[2], 7, j.pose.begin());
   std::copy_n(parameters[3], 9, j.speed_bias.begin());
   Vector15 r;
-  evaluate(preintegration_, i, j, gravity_, &r, nullptr);
+  Jacobians J;
+  evaluate(preintegration_, i, j, gravity_, &r, jacobians ? &J : nullptr);
   Eigen::Map<Vector15>{residuals} = r;
   if (!jacobians) return true;
-  Jacobians J;
-  evaluate(preintegration_, linearisation_point(i_, i), linearisation_point(j_, j), gravity_, nullptr, &J);
   using PoseJacobian = Eigen::Matrix<double, 15, 7, Eigen::RowMajor>;
   using SpeedJacobian = Eigen::Matrix<double, 15, 9, Eigen::RowMajor>;
   const auto put_pose = [&](int k, const Eigen::Matrix<double, 15, 6>& value) {

@@ -12,7 +12,7 @@ namespace orthonav::vio {
 // Residual (15): position, rotation, velocity, accelerometer bias, gyroscope bias of `preintegration`'s error state.
 // Parameters: pose i (7), speed and bias i (9), pose j (7), speed and bias j (9), laid out as in StateValues.
 // Jacobians with respect to a pose are of its six tangent directions, in the first six of seven columns (see
-// PoseManifold), and are taken at the first estimate of a frame whose linearisation is fixed.
+// PoseManifold).
 class ImuFactor final : public ceres::SizedCostFunction<15, 7, 9, 7, 9> {
  public:
   using Vector15 = Eigen::Matrix<double, 15, 1>;
@@ -21,8 +21,8 @@ class ImuFactor final : public ceres::SizedCostFunction<15, 7, 9, 7, 9> {
     Eigen::Matrix<double, 15, 9> speed_bias_i, speed_bias_j;
   };
 
-  // `gravity` is its magnitude, m/s^2. The frames and the preintegration outlive the factor.
-  ImuFactor(const Preintegration& preintegration, const Frame& i, const Frame& j, double gravity);
+  // `gravity` is its magnitude, m/s^2. The preintegration outlives the factor.
+  ImuFactor(const Preintegration& preintegration, double gravity);
 
   bool Evaluate(double const* const* parameters, double* residuals, double** jacobians) const override;
 
@@ -32,12 +32,7 @@ class ImuFactor final : public ceres::SizedCostFunction<15, 7, 9, 7, 9> {
 
  private:
   const Preintegration& preintegration_;
-  const Frame& i_;
-  const Frame& j_;
   double gravity_;
 };
-
-// Values of a frame at which Jacobians are taken: `current` where the linearisation is free.
-StateValues linearisation_point(const Frame& frame, const StateValues& current);
 
 }  // namespace orthonav::vio

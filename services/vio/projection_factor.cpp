@@ -59,8 +59,8 @@ Bearings bearings_of(const Observation& anchor, const Observation& other) {
 }
 
 ProjectionFactor::ProjectionFactor(const Bearings& bearings, const Shared& shared, const Extrinsics& extrinsics,
-                                   double weight, const Frame& i, const Frame& j)
-    : bearings_(bearings), shared_(shared), extrinsics_(extrinsics), weight_(weight), i_(i), j_(j) {}
+                                   double weight)
+    : bearings_(bearings), shared_(shared), extrinsics_(extrinsics), weight_(weight) {}
 
 bool ProjectionFactor::evaluate(const Bearings& bearings, double time_offset, const Extrinsics& extrinsics,
                                 double weight, const double* pose_i, const double* pose_j, double inverse_depth,
@@ -103,7 +103,6 @@ bool ProjectionFactor::evaluate(const Bearings& bearings, double time_offset, co
 bool ProjectionFactor::Evaluate(double const* const* parameters, double* residuals, double** jacobians) const {
   Eigen::Vector2d r;
   Jacobians J;
-  const bool fixed = i_.pose_fixed || j_.pose_fixed;
   const double inverse_depth = *parameters[2], time_offset = *parameters[4];
   Extrinsics moved;
   if (shared_.camera_free) {
@@ -113,21 +112,11 @@ bool ProjectionFactor::Evaluate(double const* const* parameters, double* residua
   }
   const Extrinsics& extrinsics = shared_.camera_free ? moved : extrinsics_;
   if (!evaluate(bearings_, time_offset, extrinsics, weight_, parameters[0], parameters[1], inverse_depth, &r,
-                jacobians && !fixed ? &J : nullptr)) {
+                jacobians ? &J : nullptr)) {
     return false;
   }
   Eigen::Map<Eigen::Vector2d>{residuals} = r;
   if (!jacobians) return true;
-  if (fixed) {
-    const double* at_i = i_.pose_fixed ? i_.first_estimate.pose.data() : parameters[0];
-    const double* at_j = j_.pose_fixed ? j_.first_estimate.pose.data() : parameters[1];
-    // Where the solution has gone so far that the point would be behind the first estimate, its own Jacobian does.
-    if (!evaluate(bearings_, time_offset, extrinsics, weight_, at_i, at_j, inverse_depth, nullptr, &J) &&
-        !evaluate(bearings_, time_offset, extrinsics, weight_, parameters[0], parameters[1], inverse_depth, nullptr,
-                  &J)) {
-      return false;
-    }
-  }
   using PoseJacobian = Eigen::Matrix<double, 2, 7, Eigen::RowMajor>;
   const auto put_pose = [&](int k, const Eigen::Matrix<double, 2, 6>& value) {
     if (!jacobians[k]) return;

@@ -57,9 +57,8 @@ class ProjectionFactor final : public ceres::SizedCostFunction<2, 7, 7, 1, 7, 1>
     Eigen::Vector2d inverse_depth, time_offset;
   };
 
-  // The frames and what they share outlive the factor.
-  ProjectionFactor(const Bearings& bearings, const Shared& shared, const Extrinsics& extrinsics, double weight,
-                   const Frame& i, const Frame& j);
+  // What the frames share outlives the factor.
+  ProjectionFactor(const Bearings& bearings, const Shared& shared, const Extrinsics& extrinsics, double weight);
 
   bool Evaluate(double const* const* parameters, double* residuals, double** jacobians) const override;
 
@@ -73,8 +72,6 @@ class ProjectionFactor final : public ceres::SizedCostFunction<2, 7, 7, 1, 7, 1>
   const Shared& shared_;
   const Extrinsics& extrinsics_;  // of shared_, while the camera's pose is frozen
   double weight_;
-  const Frame& i_;
-  const Frame& j_;
 };
 
 }  // namespace orthonav::vio

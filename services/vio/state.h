@@ -54,9 +54,8 @@ struct SharedValues {
 };
 
 struct Shared {
-  SharedValues state, first_estimate;
-  bool camera_free = false, time_free = false, height_free = false;     // estimated
-  bool camera_fixed = false, time_fixed = false, height_fixed = false;  // in the prior, about first_estimate
+  SharedValues state;
+  bool camera_free = false, time_free = false, height_free = false;  // estimated
 };
 
 // A height above ground that was measured at a frame.
@@ -80,12 +79,6 @@ struct Frame {
   std::optional<HeightMeasurement> height;  // as measured
   std::optional<int64_t> height_landmark;   // the landmark that stands for the ground under it
   StateValues state;
-  // First-estimate linearisation points: once a block is in the marginalisation prior, every Jacobian with respect
-  // to it is taken where the prior was, or the estimator would gain information it does not have, about yaw and, on
-  // straight legs, about scale.
-  StateValues first_estimate;
-  bool pose_fixed = false;        // the pose's linearisation point is first_estimate
-  bool speed_bias_fixed = false;  // likewise
   // From the previous frame of the window to this one; null in the oldest.
   std::unique_ptr<Preintegration> imu;
   double gyro_variance = 1, accel_variance = 1;  // that it was integrated with, over those of the data sheet

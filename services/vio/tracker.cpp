@@ -13,6 +13,13 @@
 namespace orthonav::vio {
 namespace {
 
+// Of a cell's side: how near tracks may come before the younger one ends, and how far from them new ones are taken. In
+// between lies what the ground's own relief and a turn move neighbours by.
+constexpr double kClosest = 1.0 / 3, kNewApart = 0.5;
+
+constexpr int kCellsOfPart = 4;
+constexpr int kBatch = 12;  // a share of the tracks, or of the parts, that is worth a search for corners
+
 cv::Point2f to_point(const Eigen::Vector2d& pixel) {
   return {static_cast<float>(pixel.x()), static_cast<float>(pixel.y())};
 }
@@ -29,7 +36,11 @@ void keep(std::vector<T>& values, const std::vector<bool>& flags) {
 
 }  // namespace
 
-Tracker::Tracker(const CameraModel& camera, const TrackerOptions& options) : camera_(camera), options_(options) {}
+Tracker::Tracker(const CameraModel& camera, const TrackerOptions& options)
+    : camera_(camera),
+      options_(options),
+      cells_({camera.width(), camera.height()}, options.max_features),
+      parts_({camera.width(), camera.height()}, options.max_features / kCellsOfPart) {}
 
 void Tracker::reset() {
   pyramid_.clear();
@@ -37,6 +48,7 @@ void Tracker::reset() {
   references_.clear();
   R_since_.setIdentity();
   passed_over_ = 0;
+  barren_ = 0;
 }
 
 void Tracker::drop(const std::set<int64_t>& ids) {
@@ -82,13 +94,15 @@ const std::vector<TrackedFeature>& Tracker::track(const cv::Mat& grey, const Eig
     features_ = std::move(followed);
     align(image, R_since_);
     reject_outliers(previous, R_since_, rotation_trusted);
+    keep(features_, kept_apart(features_, kClosest * cells_.side()));
   } else {
     features_.clear();
   }
   passed_over_ = 0;
   R_since_.setIdentity();
-  // Topped up in batches: finding corners costs as much as tracking them.
-  if (static_cast<int>(features_.size()) < options_.max_features - options_.max_features / 12) detect(image, gain);
+  // In batches: finding corners costs as much as tracking them.
+  const bool few = static_cast<int>(features_.size()) < options_.max_features - options_.max_features / kBatch;
+  if (few || num_gaps() > barren_ + parts_.size() / kBatch) detect(image, gain);
   pyramid_ = std::move(pyramid);
   return features_;
 }
@@ -168,17 +182,15 @@ void Tracker::reject_outliers(const std::vector<TrackedFeature>& previous, const
   keep(features_, std::vector<bool>(mask.begin(), mask.end()));
 }
 
+int Tracker::num_gaps() const {
+  const std::vector<int> occupancy = parts_.occupancy(features_);
+  return static_cast<int>(std::count(occupancy.begin(), occupancy.end(), 0));
+}
+
 void Tracker::detect(const cv::Mat& image, double gain) {
   // What the sensor's noise (about 1.5 grey levels) makes of a flat surface, as cornerMinEigenVal counts: no corner.
   const double noise = 3e-5 * gain * gain;
-  // Square cells, about as many as features are wanted.
-  const double area = static_cast<double>(image.cols) * image.rows;
-  const double cell = std::sqrt(area / options_.max_features);
-  const int columns = std::max(1, static_cast<int>(std::lround(image.cols / cell)));
-  const int rows = std::max(1, static_cast<int>(std::lround(image.rows / cell)));
-  const double cell_width = static_cast<double>(image.cols) / columns;
-  const double cell_height = static_cast<double>(image.rows) / rows;
-  const double apart = 0.5 * cell;
+  const auto apart = static_cast<int>(kNewApart * cells_.side());
 
   cv::Mat response;
   cv::cornerMinEigenVal(image, response, 5, 3);
@@ -187,45 +199,53 @@ void Tracker::detect(const cv::Mat& image, double gain) {
   free(cv::Rect(border, border, image.cols - 2 * border, image.rows - 2 * border)).setTo(255);
   double best = 0;
   cv::minMaxLoc(response, nullptr, &best, nullptr, nullptr, free);
-  std::vector<int> count(static_cast<size_t>(columns * rows));
-  const auto cell_of = [&](double u, double v) {
-    const int column = std::clamp(static_cast<int>((u + 0.5) / cell_width), 0, columns - 1);
-    const int row = std::clamp(static_cast<int>((v + 0.5) / cell_height), 0, rows - 1);
-    return static_cast<size_t>(row * columns + column);
-  };
-  for (const TrackedFeature& feature : features_) {
-    ++count[cell_of(feature.pixel.x(), feature.pixel.y())];
-    cv::circle(free, to_point(feature.pixel), static_cast<int>(apart), 0, cv::FILLED);
-  }
+  const std::vector<int> occupancy = cells_.occupancy(features_);
+  for (const TrackedFeature& feature : features_) cv::circle(free, to_point(feature.pixel), apart, 0, cv::FILLED);
   struct Corner {
     float response;
     cv::Point at;
   };
   std::vector<Corner> corners;
-  for (int row = 0; row < rows; ++row) {
-    for (int column = 0; column < columns; ++column) {
-      if (count[static_cast<size_t>(row * columns + column)] > 0) continue;
-      const int u0 = static_cast<int>(column * cell_width), v0 = static_cast<int>(row * cell_height);
-      const cv::Rect where = cv::Rect(u0, v0, static_cast<int>(cell_width), static_cast<int>(cell_height)) &
-                             cv::Rect(0, 0, image.cols, image.rows);
-      double strongest = 0;
-      cv::Point at;
-      cv::minMaxLoc(response(where), nullptr, &strongest, nullptr, &at, free(where));
-      if (strongest <= std::max(noise, options_.corner_quality * best)) continue;
-      corners.push_back({static_cast<float>(strongest), at + where.tl()});
-    }
+  for (size_t cell = 0; cell < occupancy.size(); ++cell) {
+    if (occupancy[cell] > 0) continue;
+    const cv::Rect where = cells_.area(cell);
+    double strongest = 0;
+    cv::Point at;
+    cv::minMaxLoc(response(where), nullptr, &strongest, nullptr, &at, free(where));
+    if (strongest <= std::max(noise, options_.corner_quality * best)) continue;
+    corners.push_back({static_cast<float>(strongest), at + where.tl()});
   }
   std::stable_sort(corners.begin(), corners.end(),
                    [](const Corner& a, const Corner& b) { return a.response > b.response; });
+  std::vector<int> in_part = parts_.occupancy(features_);
   for (const Corner& corner : corners) {
-    if (static_cast<int>(features_.size()) >= options_.max_features) break;
     if (!free.at<uchar>(corner.at)) continue;  // too near a corner taken from the next cell
     const Eigen::Vector2d pixel(corner.at.x, corner.at.y);
     const auto ray = camera_.unproject(pixel);
     if (!ray) continue;
+    const size_t part = parts_.cell_of(pixel);
+    const auto is_full = [&] { return static_cast<int>(features_.size()) >= options_.max_features; };
+    if (is_full() && in_part[part] == 0) make_room(in_part);
+    if (is_full()) continue;
     if (auto patch = ReferencePatch::make(image, pixel, camera_)) references_.emplace(next_id_, std::move(*patch));
     features_.push_back({next_id_++, pixel, *ray});
-    cv::circle(free, corner.at, static_cast<int>(apart), 0, cv::FILLED);
+    ++in_part[part];
+    cv::circle(free, corner.at, apart, 0, cv::FILLED);
+  }
+  barren_ = num_gaps();
+}
+
+// Ends the youngest track of the fullest part; none where no part has two.
+void Tracker::make_room(std::vector<int>& in_part) {
+  const auto fullest = std::max_element(in_part.begin(), in_part.end());
+  if (*fullest < 2) return;
+  const auto part = static_cast<size_t>(fullest - in_part.begin());
+  for (size_t i = features_.size(); i-- > 0;) {
+    if (parts_.cell_of(features_[i].pixel) != part) continue;
+    references_.erase(features_[i].id);
+    features_.erase(features_.begin() + static_cast<std::ptrdiff_t>(i));
+    --*fullest;
+    return;
   }
 }
 

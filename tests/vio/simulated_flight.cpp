@@ -154,8 +154,8 @@ std::vector<SimulatedFrame> simulate_frames(const Trajectory& trajectory, double
         if (noise.imu) {
           sample.gyro += noise.imu_times * class_noise.gyro_noise / root * draw();
           sample.accel += noise.imu_times * class_noise.accel_noise / root * draw();
-          bg += class_noise.gyro_walk * root * draw();
-          ba += class_noise.accel_walk * root * draw();
+          bg += noise.walk_times * class_noise.gyro_walk * root * draw();
+          ba += noise.walk_times * class_noise.accel_walk * root * draw();
         }
         frame.imu.push_back(sample);
       }
@@ -165,11 +165,13 @@ std::vector<SimulatedFrame> simulate_frames(const Trajectory& trajectory, double
       last.gyro += bg;
       last.accel += ba;
     }
-    const double shown = frame.t + simulated.time_offset;
+    double shown = frame.t + simulated.time_offset;
+    if (simulated.time_jitter > 0) shown += simulated.time_jitter * normal(generator);
     const Eigen::Vector3d p = trajectory.position(shown);
     const Eigen::Quaterniond q = trajectory.attitude(shown);
     const auto see_at = [&](const Eigen::Vector3d& point, const Eigen::Vector3d& p_W, const Eigen::Quaterniond& q_W) {
-      const Eigen::Vector3d p_C = extrinsics.R_B_C.transpose() * (q_W.conjugate() * (point - p_W) - extrinsics.p_B_C);
+      Eigen::Vector3d p_C = extrinsics.R_B_C.transpose() * (q_W.conjugate() * (point - p_W) - extrinsics.p_B_C);
+      p_C.head<2>() *= simulated.focal;
       auto pixel = camera.project(p_C);
       if (pixel && !camera.contains(*pixel, 5)) pixel.reset();
       return pixel;
@@ -197,6 +199,8 @@ std::vector<SimulatedFrame> simulate_frames(const Trajectory& trajectory, double
       const Eigen::Vector2d pixel = *see(point) + noise.pixel * Eigen::Vector2d(normal(generator), normal(generator));
       frame.features.push_back({id, pixel, *camera.unproject(pixel)});
     }
+    frame.gyro_bias = bg;
+    frame.accel_bias = ba;
     frames.push_back(std::move(frame));
   }
   return frames;
@@ -205,6 +209,35 @@ std::vector<SimulatedFrame> simulate_frames(const Trajectory& trajectory, double
 Estimator::Status process(Estimator& estimator, const SimulatedFrame& frame,
                           const std::optional<HeightMeasurement>& height) {
   const auto status = estimator.process(frame.utime, frame.features, frame.imu, height);
+  if (estimator.start_due()) estimator.try_start();
+  return status;
+}
+
+Feeder::Feeder(const std::vector<SimulatedFrame>& frames) : frames_(frames) {
+  for (const SimulatedFrame& frame : frames) {
+    for (size_t k = samples_.empty() ? 0 : 1; k < frame.imu.size(); ++k) samples_.push_back(frame.imu[k]);
+  }
+}
+
+std::optional<Estimator::Status> Feeder::next(Estimator& estimator) {
+  if (index_ == frames_.size()) return std::nullopt;
+  const SimulatedFrame& frame = frames_[index_++];
+  const auto offset = static_cast<int64_t>(std::llround(1e6 * estimator.time_offset()));
+  const int64_t now = std::clamp(frame.utime + offset, until_ + 1, samples_.back().utime);
+  std::vector<ImuSample> cut;
+  const auto at = [&](size_t k, int64_t utime) {
+    const ImuSample &a = samples_[k], &b = samples_[k + 1];
+    const double s = static_cast<double>(utime - a.utime) / static_cast<double>(b.utime - a.utime);
+    return ImuSample{utime, (1 - s) * a.gyro + s * b.gyro, (1 - s) * a.accel + s * b.accel};
+  };
+  for (size_t k = 0; k + 1 < samples_.size() && until_ > 0; ++k) {
+    if (samples_[k + 1].utime <= until_) continue;
+    if (samples_[k].utime >= now) break;
+    if (cut.empty()) cut.push_back(at(k, std::max(until_, samples_[k].utime)));
+    cut.push_back(samples_[k + 1].utime > now ? at(k, now) : samples_[k + 1]);
+  }
+  until_ = now;
+  const auto status = estimator.process(now, frame.features, cut);
   if (estimator.start_due()) estimator.try_start();
   return status;
 }

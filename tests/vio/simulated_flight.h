@@ -48,12 +48,15 @@ struct SimulatedNoise {
   Eigen::Vector3d gyro_bias = Eigen::Vector3d::Zero();   // rad/s
   Eigen::Vector3d accel_bias = Eigen::Vector3d::Zero();  // m/s^2
   double imu_times = 1;                                  // white noise over that of the class: an airframe that shakes
+  double walk_times = 1;                                 // likewise the random walks of the biases
 };
 
 // What the camera really is, where the estimator believes in downward_camera() and a global shutter in time.
 struct SimulatedCamera {
   Extrinsics extrinsics = downward_camera();
   double time_offset = 0;   // s: a picture stamped t shows what was at t + this
+  double time_jitter = 0;   // s, 1 sigma: and another time again in each picture
+  double focal = 1;         // true focal length over the one that is believed
   double readout_time = 0;  // s, from the first row to the last, about the stamp
 };
 
@@ -62,6 +65,8 @@ struct SimulatedFrame {
   double t = 0;
   std::vector<TrackedFeature> features;
   std::vector<ImuSample> imu;  // since the previous frame, both ends included
+  // The sensor's true biases by then.
+  Eigen::Vector3d gyro_bias = Eigen::Vector3d::Zero(), accel_bias = Eigen::Vector3d::Zero();
 };
 
 // Frames at 10 Hz with points on a ground of `relief` (m, 1 sigma). A point keeps its id while it is in view.
@@ -72,6 +77,22 @@ std::vector<SimulatedFrame> simulate_frames(const Trajectory& trajectory, double
 // One frame, as Vio gives it to the estimator, and the start that it may make due. Returns the frame's own status.
 Estimator::Status process(Estimator& estimator, const SimulatedFrame& frame,
                           const std::optional<HeightMeasurement>& height = std::nullopt);
+
+// Gives a flight's frames to the estimator as Vio does: the inertial samples are cut at the images' times by the
+// sensor's clock, as far as the estimator knows it by then.
+class Feeder {
+ public:
+  explicit Feeder(const std::vector<SimulatedFrame>& frames);  // which outlive it
+  // The next frame, and the start that it may make due. Returns the frame's own status; nullopt after the last.
+  std::optional<Estimator::Status> next(Estimator& estimator);
+  const SimulatedFrame& frame() const { return frames_[index_ - 1]; }  // that was given last
+
+ private:
+  const std::vector<SimulatedFrame>& frames_;
+  std::vector<ImuSample> samples_;
+  size_t index_ = 0;
+  int64_t until_ = 0;  // of the samples given
+};
 
 // The picture of the plane z = 0 under a fixed random texture.
 class TexturedGround {

@@ -251,5 +251,55 @@ TEST(Tracker, SpreadsFeaturesOverTheImage) {
   for (const int count : quadrants) EXPECT_GT(count, 20);
 }
 
+// How much of the image the tracks cover in each picture of a motion: of 8 x 6 parts, those with a track, at the least;
+// and how near two tracks come.
+struct Cover {
+  double least = 1;
+  double nearest = INFINITY;  // pixels
+  size_t most = 0;            // tracks
+};
+
+Cover cover(const Trajectory& motion, double duration) {
+  Tracker tracker(test_camera(), {});
+  const auto attitude_of_camera = [&](double t) {
+    return Eigen::Matrix3d(motion.attitude(t).toRotationMatrix() * downward_camera().R_B_C);
+  };
+  Cover result;
+  for (double t = 0; t < duration; t += 0.1) {
+    const Eigen::Matrix3d R = attitude_of_camera(t).transpose() * attitude_of_camera(t - 0.1);
+    const auto& features = tracker.track(ground().picture(motion, t), R, true);
+    const ImageGrid parts({640, 480}, 37);
+    const std::vector<int> occupancy = parts.occupancy(features);
+    const auto empty = std::count(occupancy.begin(), occupancy.end(), 0);
+    result.least = std::min(result.least, 1 - static_cast<double>(empty) / parts.size());
+    result.most = std::max(result.most, features.size());
+    for (size_t i = 0; i < features.size(); ++i) {
+      for (size_t k = 0; k < i; ++k) {
+        result.nearest = std::min(result.nearest, (features[i].pixel - features[k].pixel).norm());
+      }
+    }
+  }
+  return result;
+}
+
+TEST(Tracker, TracksCoverTheImageWhateverTheMotion) {
+  const auto still = [](double) { return Eigen::Vector3d::Zero(); };
+  const std::map<std::string, Trajectory> motions = {
+      {"climb", {[](double t) { return Eigen::Vector3d(0, 0, 12 + 3 * t); }, still}},
+      {"descent", {[](double t) { return Eigen::Vector3d(0, 0, 50 - 3 * t); }, still}},
+      {"spin",
+       {[](double) { return Eigen::Vector3d(0, 0, 40); }, [](double t) { return Eigen::Vector3d(0, 0, 1.2 * t); }}},
+      {"bank and back",
+       {[](double t) { return Eigen::Vector3d(4 * t, 0, 40); },
+        [](double t) { return Eigen::Vector3d(0.4 * std::sin(t), 0, 0); }}},
+  };
+  for (const auto& [name, motion] : motions) {
+    const Cover found = cover(motion, 12);
+    EXPECT_GT(found.least, 0.8) << name;
+    EXPECT_GT(found.nearest, 12) << name;
+    EXPECT_LE(found.most, static_cast<size_t>(TrackerOptions{}.max_features)) << name;
+  }
+}
+
 }  // namespace
 }  // namespace orthonav::vio
