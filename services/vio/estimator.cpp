@@ -43,6 +43,7 @@ void Estimator::reset() {
   still_ = false;
   still_time_ = 0;
   pixel_sigma_ = std::min(kUnknownNoise * options_.pixel_sigma, options_.max_pixel_sigma);
+  widening_ = 1;
   error_time_ = 0;
   sunk_time_ = 0;
   tried_utime_ = 0;
@@ -165,12 +166,8 @@ void Estimator::add_frame(int64_t utime, const std::vector<ImuSample>& imu) {
     frame->state.bg() = gyro_bias_;
   } else {
     const StateValues& last = frames_.back()->state;
-    ImuNoise noise = noise_;
-    noise.gyro_noise *= std::sqrt(gyro_variance_);
-    noise.accel_noise *= std::sqrt(accel_variance_);
-    frame->gyro_variance = gyro_variance_;
-    frame->accel_variance = accel_variance_;
-    frame->imu = std::make_unique<Preintegration>(last.ba(), last.bg(), noise);
+    frame->variances = imu_noise_.variances();
+    frame->imu = std::make_unique<Preintegration>(last.ba(), last.bg(), frame->variances.applied_to(noise_));
     for (const ImuSample& sample : imu) frame->imu->add(sample);
     const Eigen::Vector3d g(0, 0, -options_.gravity);
     const double T = frame->imu->duration();

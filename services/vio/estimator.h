@@ -39,6 +39,7 @@
 
 #include "common/camera/camera_model.h"
 #include "services/vio/bearing_rates.h"
+#include "services/vio/imu_noise.h"
 #include "services/vio/memory.h"
 #include "services/vio/normal_equations.h"
 #include "services/vio/prior.h"
@@ -146,7 +147,8 @@ class Estimator {
   double height_bias() const { return shared_.state.height_bias[0]; }  // m
   const Extrinsics& extrinsics() const { return extrinsics_; }         // in use
   double pixel_sigma() const { return pixel_sigma_; }                  // pixels, noise of a feature as measured
-  bool still() const { return still_; }                                // nothing moves
+  const ImuVariances& imu_variances() const { return imu_noise_.variances(); }  // as measured
+  bool still() const { return still_; }                                         // nothing moves
   // Gyroscope bias as far as known, rad/s, and whether it is known well enough to predict rotations with.
   Eigen::Vector3d gyro_bias() const { return gyro_bias_; }
   bool gyro_bias_known() const { return gyro_bias_known_; }
@@ -201,7 +203,9 @@ class Estimator {
   void watch_standstill(int64_t utime, const std::vector<TrackedFeature>& features, const std::vector<ImuSample>& imu);
   void find_outliers();
   void measure_noise(double share);
-  void measure_imu_noise();
+  ImuVariances imu_noise_of(const NormalEquations& equations, size_t index) const;
+  // Squared standard deviations, per dimension, by which the window departs from what it knew before.
+  double prior_error() const;
   std::string find_failure();
   bool scale_was_wrong() const;
 
@@ -210,6 +214,7 @@ class Estimator {
   void recall_height(Frame& frame) const;
   void thin_out();
   bool solve_start();
+  bool learn_imu_noise();
   bool fits_better_at_another_scale(double cost);
   void start_prior(const SharedValues& shared, double gyro_sigma);
   double scale_sigma(const NormalEquations& equations) const;
@@ -250,13 +255,14 @@ class Estimator {
   int next_keyframe_id_ = 0;
   int64_t tried_utime_ = 0;  // when a start was last due
   bool start_due_ = false;
-  int64_t seen_utime_ = 0;                         // when enough landmarks were last in view
-  int64_t last_frame_utime_ = 0;                   // of the last frame that was judged; 0: none since the reset
-  double pixel_sigma_ = 0;                         // pixels, 1 sigma of a tracked feature, as measured
-  double gyro_variance_ = 1, accel_variance_ = 1;  // of the IMU's noise as measured, over the data sheet's
-  double error_time_ = 0;                          // s, for which camera and IMU have contradicted each other
-  double sunk_time_ = 0;                           // s, for which the ground has been above the aircraft
-  int in_view_ = 0, refused_ = 0;                  // landmarks of the newest frame: with a depth, and found to be wrong
+  int64_t seen_utime_ = 0;        // when enough landmarks were last in view
+  int64_t last_frame_utime_ = 0;  // of the last frame that was judged; 0: none since the reset
+  double pixel_sigma_ = 0;        // pixels, 1 sigma of a tracked feature, as measured
+  ImuNoiseMeter imu_noise_;
+  double widening_ = 1;            // of variances: how much more than they said it was of late
+  double error_time_ = 0;          // s, for which camera and IMU have contradicted each other
+  double sunk_time_ = 0;           // s, for which the ground has been above the aircraft
+  int in_view_ = 0, refused_ = 0;  // landmarks of the newest frame: with a depth, and found to be wrong
   double height_ = 0;
   std::vector<ScaleHint> hints_;
   std::optional<std::pair<double, double>> new_hint_;  // ratio and its standard deviation

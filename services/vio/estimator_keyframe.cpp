@@ -7,6 +7,11 @@
 #include "services/vio/projection_factor.h"
 
 namespace orthonav::vio {
+namespace {
+
+constexpr double kNoiseShare = 0.05;  // that one motion has in the noise measured
+
+}  // namespace
 
 void Estimator::follow_published() {
   const Frame& newest = *frames_.back();
@@ -70,7 +75,13 @@ void Estimator::publish_keyframe() {
     keyframe.features.push_back(feature);
   }
 
-  update_covariance(normal_equations(), keyframe);
+  const NormalEquations equations = normal_equations();
+  // What contradicts what was known says that it was not known so well: for as long as the window remembers.
+  widening_ = std::max(1.0, widening_ + (prior_error() - widening_) / options_.window);
+  update_covariance(equations, keyframe);
+  // Of the oldest motion everything is known that ever will be. What contradicts the camera is no noise.
+  if (static_cast<int>(frames_.size()) > options_.window && error_time_ == 0)
+    imu_noise_.learn(imu_noise_of(equations, 1), kNoiseShare);
   if (height_ > 0 && std::isfinite(scale_stddev_)) {
     memory_ = Memory{newest.utime, height_, height_ * scale_stddev_, newest_.v().z(), newest_.bg(), time_offset()};
   }
@@ -98,8 +109,8 @@ void Estimator::update_covariance(const NormalEquations& equations, Keyframe& ke
     for (int k = 0; k < 6; ++k) rows.push_back(offset + k);
   }
   for (int k = 0; k < 9; ++k) rows.push_back(equations.speed_bias_offset(newest) + k);
-  const Eigen::MatrixXd joint = equations.covariance(rows);
-  scale_stddev_ = scale_sigma(equations);
+  const Eigen::MatrixXd joint = widening_ * equations.covariance(rows);
+  scale_stddev_ = std::sqrt(widening_) * scale_sigma(equations);
   keyframe.scale_stddev = scale_stddev_;
   if (joint.size() == 0) return;
   const Eigen::Matrix3d R_prev = previous.state.q().toRotationMatrix();

@@ -173,7 +173,7 @@ Estimator::Solution Estimator::optimise(int iterations, double tolerance) {
   options.trust_region_strategy_type = ceres::LEVENBERG_MARQUARDT;
   // The damping must stay far below what the least known direction is known by: with a radius of 10^6 the scale, known
   // to a percent beside pixels that know their poses to millimetres, stayed where it was.
-  options.initial_trust_region_radius = 1e12;
+  options.initial_trust_region_radius = 1e10;
   options.max_num_iterations = iterations;
   options.function_tolerance = tolerance;
   // Steps that go up for a while get through the bends of a start's valley (scale against tilt and the accelerometer's
@@ -211,7 +211,6 @@ void Estimator::leave_frame(Landmark& landmark, const Frame& leaving) {
 }
 
 void Estimator::marginalise_oldest() {
-  measure_imu_noise();
   Frame& oldest = *frames_.front();
   NormalEquations equations(frame_pointers(), shared_);
   equations.add_prior(prior_);

@@ -16,6 +16,7 @@ namespace {
 constexpr double kStartTolerance = 1e-9;
 constexpr int kStartIterations = 60;
 constexpr double kTypicalError = 0.25;  // of a feature in a start, of outlier_error
+constexpr int kNoiseSteps = 8;          // of learning the sensor's noise, of one try
 constexpr double kTryInterval = 0.2;    // s: a start is tried more often than its frames are kept
 
 std::string too_uncertain(double scale_sigma) {
@@ -186,6 +187,8 @@ bool Estimator::solve_start() {
   start_prior(before, gyro_sigma);
   find_outliers();
   measure_noise(1.0);
+  // A sensor that is as its data sheet says takes one look.
+  for (int step = 0; step < kNoiseSteps && learn_imu_noise(); ++step) optimise(kStartIterations, kStartTolerance);
   // Far from enough: no need for a second solution, which costs as much as ten frames.
   const double first_sigma = scale_sigma(normal_equations());
   if (first_sigma > 4 * options_.init_scale_sigma) return give_up(too_uncertain(first_sigma));
@@ -215,6 +218,27 @@ bool Estimator::solve_start() {
   if (fits_better_at_another_scale(solution.cost)) return give_up("another scale fits better");
   outliers_.clear();
   return true;
+}
+
+// A step towards the noise that the motions of a start say the sensor has; whether it was a long one.
+bool Estimator::learn_imu_noise() {
+  constexpr double kLong = 1.1;  // of a variance
+  const NormalEquations equations = normal_equations();
+  const ImuVariances before = imu_noise_.variances();
+  ImuVariances mean{0, 0};
+  const double share = 1 / static_cast<double>(frames_.size() - 1);
+  for (size_t k = 1; k < frames_.size(); ++k) {
+    const ImuVariances one = imu_noise_of(equations, k);
+    mean.gyro += share * one.gyro;
+    mean.accel += share * one.accel;
+  }
+  imu_noise_.learn(mean, 1);
+  for (size_t k = 1; k < frames_.size(); ++k) {
+    frames_[k]->variances = imu_noise_.variances();
+    frames_[k]->imu->reweigh(imu_noise_.variances().applied_to(noise_));
+  }
+  const ImuVariances& now = imu_noise_.variances();
+  return now.gyro > kLong * before.gyro || now.accel > kLong * before.accel;
 }
 
 // A start can settle in a wrong optimum (5 times too small, and sure of it to 4 %). The window is solved again from the

@@ -50,6 +50,11 @@ void Preintegration::repropagate(const Eigen::Vector3d& accel_bias, const Eigen:
   for (size_t i = 1; i < samples_.size(); ++i) step(samples_[i - 1], samples_[i]);
 }
 
+void Preintegration::reweigh(const ImuNoise& noise) {
+  noise_ = noise;
+  repropagate(Eigen::Vector3d(accel_bias_), Eigen::Vector3d(gyro_bias_));
+}
+
 void Preintegration::step(const ImuSample& from, const ImuSample& to) {
   const double dt = 1e-6 * static_cast<double>(to.utime - from.utime);
   if (dt <= 0) return;

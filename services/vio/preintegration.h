@@ -46,6 +46,9 @@ class Preintegration {
   // Integrates again from the kept samples about other biases.
   void repropagate(const Eigen::Vector3d& accel_bias, const Eigen::Vector3d& gyro_bias);
 
+  // The same as a sensor of another noise.
+  void reweigh(const ImuNoise& noise);
+
   double duration() const { return duration_; }  // s
   const Eigen::Vector3d& alpha() const { return alpha_; }
   const Eigen::Quaterniond& gamma() const { return gamma_; }

@@ -14,6 +14,7 @@
 #include <Eigen/Geometry>
 
 #include "common/camera/camera_model.h"
+#include "services/vio/imu_noise.h"
 #include "services/vio/preintegration.h"
 
 namespace orthonav::vio {
@@ -81,7 +82,7 @@ struct Frame {
   StateValues state;
   // From the previous frame of the window to this one; null in the oldest.
   std::unique_ptr<Preintegration> imu;
-  double gyro_variance = 1, accel_variance = 1;  // that it was integrated with, over those of the data sheet
+  ImuVariances variances;  // that it was integrated with
 };
 
 // A feature as the tracker saw it in one image.

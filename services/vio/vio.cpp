@@ -246,6 +246,8 @@ std::optional<VioOutput> Vio::next() {
     }
     if (!flying) session_began_ = now;
     counters_["features.noise_px"] = estimator_.pixel_sigma();
+    counters_["imu.gyro_noise_over_sheet"] = std::sqrt(estimator_.imu_variances().gyro);
+    counters_["imu.accel_noise_over_sheet"] = std::sqrt(estimator_.imu_variances().accel);
     counters_["calibration.wrong"] = calibration_.complaint().empty() ? 0 : 1;
     output.session = session_;
     output.status = estimator_.status();
