@@ -198,7 +198,7 @@ class Effects : public testing::Test {
     const HeightField field(surface_);
     const RayCaster caster(field, camera);
     const CameraPose pose = looking_down({0, 0, 110});
-    return CameraEffects(options, camera, 3).expose(caster.render(pose), caster, begin, pose, end, 1.0, 0);
+    return CameraEffects(options, camera, 3).expose(caster.render(pose), caster, {{begin}, {pose}, {end}}, 1.0, 0);
   }
   cv::Mat expose(const CameraEffectOptions& options) {
     return expose(options, looking_down({0, 0, 110}), looking_down({0, 0, 110}));
