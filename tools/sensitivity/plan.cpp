@@ -28,7 +28,9 @@ void write_config(const fs::path& scenario, const fs::path& folder, const std::m
     std::string text = fmt::format("extends: {}\n", fs::absolute(entry.path()).lexically_normal().string());
     const auto overlay = overlays.find(entry.path().stem().string());
     if (overlay != overlays.end() && overlay->second.IsMap() && overlay->second.size() > 0) {
-      text += YAML::Dump(overlay->second) + "\n";
+      YAML::Node top = YAML::Clone(overlay->second);
+      top.SetStyle(YAML::EmitterStyle::Block);  // one map with `extends`
+      text += YAML::Dump(top) + "\n";
     }
     write_file(folder / entry.path().filename(), text);
   }

@@ -149,6 +149,8 @@ Figures Figures::of(const json& report) {
     for (const auto& [service, health] : report["health"].items()) {
       if (!health.contains("said")) continue;
       for (const json& said : health["said"]) {
+        const auto state = said.value("state", std::string());
+        if (state != "degraded" && state != "failed") continue;
         f.health.push_back(service + ": " + said.value("message", std::string()));
       }
     }
