@@ -19,6 +19,7 @@ constexpr double kPastTheEnd = 10.0;      // s of motion beyond the flight, for 
 constexpr double kSettle = 2.0;           // s between a take-off's climb and the first phase
 constexpr double kSlowest = 1.0;          // m/s: slower aircraft turn as if they flew so fast
 constexpr double kCourseHold = 1.0;       // 1/s, rate of turn per error of the course
+constexpr double kRollInAndOut = 1.25;    // times a circle's width is what a half-turn from lane to lane takes
 constexpr double kToLandingPlace = 1.0;   // m/s
 constexpr double kLeastLaneSpacing = 20;  // m
 
@@ -42,7 +43,7 @@ std::vector<Waypoint> lay_circuit(const FlightOptions& options, const FlightArea
   double width = kLeastLaneSpacing, length = 0;
   for (const Phase& phase : options.phases) {
     const double fastest = phase.circle ? phase.speed : phase.speed * (1 + options.leg_speed_spread);
-    width = std::max(width, 2 * turn_radius(phase, fastest, gravity));
+    width = std::max(width, (phase.circle ? 1.0 : kRollInAndOut) * 2 * turn_radius(phase, fastest, gravity));
     length += phase.seconds * phase.speed;
     if (width > size.minCoeff()) {
       throw std::invalid_argument(fmt::format(
@@ -131,13 +132,14 @@ class Pilot {
 
   // Rate of turn towards the next waypoint, or the one after when it is time to turn.
   double to_waypoint(const Phase& phase) {
-    const Eigen::Vector2d here = circuit_[next_].p;
-    const Eigen::Vector2d after = circuit_[(next_ + 1) % circuit_.size()].p;
+    const Waypoint& here = circuit_[next_];
+    const Waypoint& after = circuit_[(next_ + 1) % circuit_.size()];
     const Eigen::Vector2d before = circuit_[(next_ + circuit_.size() - 1) % circuit_.size()].p;
-    const Eigen::Vector2d in = (here - before).normalized(), out = (after - here).normalized();
+    const Eigen::Vector2d in = (here.p - before).normalized(), out = (after.p - here.p).normalized();
     const double corner = std::acos(std::clamp(in.dot(out), -1.0, 1.0));
-    const double lead = turn_radius(phase, speed_, gravity_) * std::tan(0.5 * std::min(corner, 2.0)) + 0.5 * speed_;
-    if (in.dot(here - p_) < lead) next_ = (next_ + 1) % circuit_.size();
+    const double fastest = std::max(speed_, phase.speed * after.speed);
+    const double lead = turn_radius(phase, fastest, gravity_) * std::tan(0.5 * std::min(corner, 2.0)) + 0.5 * fastest;
+    if (in.dot(here.p - p_) < lead) next_ = (next_ + 1) % circuit_.size();
     return kCourseHold * wrap_angle(course_to(circuit_[next_].p) - course_);
   }
 
