@@ -27,7 +27,7 @@ void print(const Plan& plan) {
 
 int run(int argc, char** argv) {
   CLI::App app("What the sensitivity benchmark flies, and what came of it");
-  std::filesystem::path file, results_folder, json_file, bands;
+  std::filesystem::path file, results_folder, json_file;
   std::string commit;
   PlanOptions options;
   app.add_option("--table", file, "rows and levels")->required()->check(CLI::ExistingFile);
@@ -36,10 +36,11 @@ int run(int argc, char** argv) {
   app.add_option("--scenarios", options.scenarios)->required();
   app.add_option("--seeds", options.seeds)->required();
   app.add_option("--rows", options.rows, "all, if none");
-  app.add_option("--results", results_folder, "print the table of the runs whose report.json files are here");
+  app.add_option("--results", results_folder,
+                 "print the table of the runs whose report.json files are here, and fail when one "
+                 "leaves a band");
   app.add_option("--json", json_file, "with --results: write the figures of every run here");
   app.add_option("--commit", commit, "with --json: what was flown");
-  app.add_option("--bands", bands, "with --results: fail when a figure leaves its band")->check(CLI::ExistingFile);
   CLI11_PARSE(app, argc, argv);
 
   const Table table = Table::load(file);
@@ -50,14 +51,12 @@ int run(int argc, char** argv) {
   }
   const std::vector<Result> results = read_results(plan, results_folder);
   std::fputs(to_table(table, results).c_str(), stdout);
-  const auto json = to_json(table, results, commit);
   if (!json_file.empty()) {
     std::ofstream out(json_file);
-    out << json.dump(2) << '\n';
+    out << to_json(table, results, commit).dump(2) << '\n';
     if (!out) throw std::runtime_error(fmt::format("{}: cannot write", json_file.string()));
   }
-  if (bands.empty()) return 0;
-  const std::vector<std::string> faults = outside_bands(bands, json);
+  const std::vector<std::string> faults = outside_bands(table, results);
   for (const std::string& fault : faults) fmt::print(stderr, "outside its band: {}\n", fault);
   return faults.empty() ? 0 : 1;
 }

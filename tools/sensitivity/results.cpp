@@ -10,7 +10,6 @@
 
 #include <fmt/format.h>
 #include <fmt/ranges.h>
-#include <yaml-cpp/yaml.h>
 
 #include "common/math/statistics.h"
 
@@ -58,9 +57,11 @@ std::string median_and_worst(const Group& group, int decimals, Get get) {
   for (double& value : all) {
     if (std::isnan(value)) value = std::numeric_limits<double>::infinity();
   }
-  const double worst = *std::max_element(all.begin(), all.end());
-  if (group.size() == 1) return cell(worst, decimals);
-  return cell(median(all), decimals) + " / " + cell(worst, decimals);
+  std::sort(all.begin(), all.end());
+  if (all.size() == 1) return cell(all.front(), decimals);
+  // Not by interpolation: there may be infinite ones.
+  const double middle = 0.5 * (all[(all.size() - 1) / 2] + all[all.size() / 2]);
+  return cell(middle, decimals) + " / " + cell(all.back(), decimals);
 }
 
 template <class Get>
@@ -106,6 +107,37 @@ std::vector<Group> grouped(const Table& table, const std::vector<Result>& result
     }
   }
   return ordered;
+}
+
+ordered_json run_json(const Table& table, const Result& result) {
+  const Figures& f = result.figures;
+  const Level& level = table.levels[result.run->level];
+  return {{"row", level.row},
+          {"level", level.name},
+          {"scenario", result.run->scenario},
+          {"seed", result.run->seed},
+          {"name", result.run->name},
+          {"verdict", name_of(result.verdict)},
+          {"rmse_m", f.rmse},
+          {"horizontal_m", f.horizontal},
+          {"vertical_m", f.vertical},
+          {"nees", f.nees},
+          {"epochs", f.epochs},
+          {"bounded", f.bounded},
+          {"beyond_horizontal", f.beyond_horizontal},
+          {"beyond_vertical", f.beyond_vertical},
+          {"located_share", f.located_share},
+          {"bounded_share", f.bounded_share},
+          {"fixes", f.fixes},
+          {"false_fixes", f.false_fixes},
+          {"first_position_s", f.first_position},
+          {"scale_error_start", f.scale_start},
+          {"scale_claim_start", f.claim_start},
+          {"scale_error_30s", f.scale_30s},
+          {"scale_claim_30s", f.claim_30s},
+          {"scale_error_end", f.scale_end},
+          {"scale_claim_end", f.claim_end},
+          {"health", result.health}};
 }
 
 }  // namespace
@@ -227,63 +259,24 @@ ordered_json to_json(const Table& table, const std::vector<Result>& results, con
   ordered_json top;
   top["commit"] = commit;
   top["runs"] = ordered_json::array();
-  for (const Result& result : results) {
-    const Figures& f = result.figures;
-    const Level& level = table.levels[result.run->level];
-    top["runs"].push_back({{"row", level.row},
-                           {"level", level.name},
-                           {"scenario", result.run->scenario},
-                           {"seed", result.run->seed},
-                           {"name", result.run->name},
-                           {"verdict", name_of(result.verdict)},
-                           {"rmse_m", f.rmse},
-                           {"horizontal_m", f.horizontal},
-                           {"vertical_m", f.vertical},
-                           {"nees", f.nees},
-                           {"epochs", f.epochs},
-                           {"bounded", f.bounded},
-                           {"beyond_horizontal", f.beyond_horizontal},
-                           {"beyond_vertical", f.beyond_vertical},
-                           {"located_share", f.located_share},
-                           {"bounded_share", f.bounded_share},
-                           {"fixes", f.fixes},
-                           {"false_fixes", f.false_fixes},
-                           {"first_position_s", f.first_position},
-                           {"scale_error_start", f.scale_start},
-                           {"scale_claim_start", f.claim_start},
-                           {"scale_error_30s", f.scale_30s},
-                           {"scale_claim_30s", f.claim_30s},
-                           {"scale_error_end", f.scale_end},
-                           {"scale_claim_end", f.claim_end},
-                           {"health", result.health}});
-  }
+  for (const Result& result : results) top["runs"].push_back(run_json(table, result));
   return top;
 }
 
-std::vector<std::string> outside_bands(const std::filesystem::path& bands, const ordered_json& json) {
+std::vector<std::string> outside_bands(const Table& table, const std::vector<Result>& results) {
   std::vector<std::string> faults;
-  for (const YAML::Node& band : YAML::LoadFile(bands.string())) {
-    const auto row = band["row"].as<std::string>(), level = band["level"].as<std::string>(),
-               scenario = band["scenario"].as<std::string>();
-    const auto seed = band["seed"].as<uint64_t>();
-    const std::string name = fmt::format("{} {} ({} {})", row, level, scenario, seed);
-    const ordered_json* found = nullptr;
-    for (const ordered_json& run : json["runs"]) {
-      if (run["row"] == row && run["level"] == level && run["scenario"] == scenario && run["seed"] == seed)
-        found = &run;
-    }
-    if (found == nullptr) {
-      faults.push_back(name + ": was not flown");
-      continue;
-    }
-    for (const auto& entry : band) {
-      const auto figure = entry.first.as<std::string>();
-      if (!entry.second.IsSequence()) continue;
-      const auto low = entry.second[0].as<double>(), high = entry.second[1].as<double>();
-      const double value =
-          found->contains(figure) && (*found)[figure].is_number() ? (*found)[figure].get<double>() : kNan;
-      if (value >= low && value <= high) continue;
-      faults.push_back(fmt::format("{}: {} is {}, not within {} to {}", name, figure, cell(value, 3), low, high));
+  for (size_t i = 0; i < table.levels.size(); ++i) {
+    const Level& level = table.levels[i];
+    const bool flown = std::any_of(results.begin(), results.end(), [&](const Result& r) { return r.run->level == i; });
+    if (!level.bands.empty() && !flown) faults.push_back(fmt::format("{} {}: was not flown", level.row, level.name));
+  }
+  for (const Result& result : results) {
+    const ordered_json json = run_json(table, result);
+    for (const auto& [figure, band] : table.levels[result.run->level].bands) {
+      const double value = json.contains(figure) && json[figure].is_number() ? json[figure].get<double>() : kNan;
+      if (value >= band.first && value <= band.second) continue;
+      faults.push_back(fmt::format("{}: {} is {}, not within {} to {}", result.run->name, figure, cell(value, 3),
+                                   band.first, band.second));
     }
   }
   return faults;

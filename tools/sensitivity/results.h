@@ -48,8 +48,7 @@ std::vector<Result> read_results(const Plan& plan, const std::filesystem::path& 
 std::string to_table(const Table& table, const std::vector<Result>& results);
 nlohmann::ordered_json to_json(const Table& table, const std::vector<Result>& results, const std::string& commit);
 
-// Bands that figures must lie in (YAML: a list of {row, level, scenario, seed, FIGURE: [low, high], ...}, figures named
-// as in the JSON). Returns what lies outside, and what is not there, one text each.
-std::vector<std::string> outside_bands(const std::filesystem::path& bands, const nlohmann::ordered_json& json);
+// What leaves the bands of its level, and levels with bands that were not flown: one text each.
+std::vector<std::string> outside_bands(const Table& table, const std::vector<Result>& results);
 
 }  // namespace orthonav::sensitivity

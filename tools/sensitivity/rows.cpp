@@ -76,6 +76,10 @@ class Reader {
         level.map = entry.second;
       } else if (key == "calibration") {
         level.calibration = calibration(entry.second);
+      } else if (key == "bands") {
+        for (const auto& band : entry.second) {
+          level.bands[band.first.as<std::string>()] = {band.second[0].as<double>(), band.second[1].as<double>()};
+        }
       } else if (kBelieved.count(key) > 0) {
         level.believed[key] = entry.second;
       } else {

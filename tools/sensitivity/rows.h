@@ -4,6 +4,7 @@
 #include <filesystem>
 #include <map>
 #include <string>
+#include <utility>
 #include <vector>
 
 #include <yaml-cpp/yaml.h>
@@ -20,6 +21,8 @@ struct Level {
   YAML::Node simulate, map;                    // on simulate.yaml: of the flight, and of its map alone
   std::map<std::string, YAML::Node> believed;  // on the navigator's files, by their names without ending
   Miscalibration calibration;
+  std::map<std::string, std::pair<double, double>>
+      bands;  // lowest and highest of a run's figure, by its key in the JSON
 
   // Row and level as a part of a file's name.
   std::string slug() const;
