@@ -23,7 +23,8 @@
 namespace orthonav::evaluate {
 
 inline constexpr int64_t kStart = 1'700'000'000'000'000;
-inline constexpr int kImages = 600;  // 10 Hz
+inline constexpr int kImages = 600;       // 10 Hz
+inline constexpr double kHeight = 110.0;  // m above ground
 inline const Geodetic kAnchor{47.5, 8.7, 400.0};
 
 struct LogContent {
@@ -34,6 +35,9 @@ struct LogContent {
   Eigen::Vector3d fix_error{3.0, 4.0, 0.0};
   Eigen::Vector3d nav_error{1.0, 2.0, 2.0};
   double nav_stddev = 3.0;       // m, per axis
+  double nav_level = 0.0;        // m, of protection, both
+  double lean = 0.0;             // rad, of the odometry's "down", to changing sides
+  double fix_leans = 0.0;        // times the height times the lean is added to the fixes' errors
   double map_offset_east = 0.5;  // m
   int false_fix = 20;            // this keyframe's fix is 100 m off; -1: none
 };
@@ -57,6 +61,11 @@ void put(const Eigen::Quaterniond& q, Array& out) {
   out[3] = q.z();
 }
 
+// Where the odometry's "down" leans to, of unit size at most: east, north.
+inline Eigen::Vector2d lean_direction(double t) {
+  return Eigen::Vector2d(std::sin(0.31 * t), std::cos(0.17 * t));
+}
+
 inline void write_log(const std::filesystem::path& file, const LogContent& content) {
   const double unknown = std::numeric_limits<double>::quiet_NaN();
   const EnuFrame frame(kAnchor);
@@ -73,6 +82,7 @@ inline void write_log(const std::filesystem::path& file, const LogContent& conte
     if (content.truth) {
       truth_t truth{};
       truth.utime = utime;
+      truth.height_above_ground = kHeight;
       truth.latitude_deg = place.latitude_deg;
       truth.longitude_deg = place.longitude_deg;
       truth.ellipsoidal_height = place.height;
@@ -101,7 +111,8 @@ inline void write_log(const std::filesystem::path& file, const LogContent& conte
     }
     Eigen::Vector3d p_W_B = content.vio_scale * (q_W_G * p_G_B) + Eigen::Vector3d(7.0, -3.0, 2.0);
     p_W_B.x() += k % 2 == 0 ? content.vio_noise : -content.vio_noise;
-    const Eigen::Quaterniond q_W_B = q_W_G * q_G_B;
+    const Eigen::Vector2d lean_en = content.lean * lean_direction(t);
+    const Eigen::Quaterniond q_W_B = q_W_G * so3_exp(Eigen::Vector3d(-lean_en.y(), lean_en.x(), 0)) * q_G_B;
     if (content.vio && k >= 5) {
       vio_state_t state{};
       state.utime = utime;
@@ -133,6 +144,7 @@ inline void write_log(const std::filesystem::path& file, const LogContent& conte
       fix.method = "paper";
       fix.valid = id % 2 == 0;
       Eigen::Vector3d found = p_G_B + content.fix_error;
+      found.head<2>() += content.fix_leans * kHeight * lean_en;
       if (id == content.false_fix) found.x() += 100.0;
       // Refused ones: every fourth implies a place far away.
       if (!fix.valid && id % 4 == 1) found.y() += 300.0;
@@ -158,6 +170,7 @@ inline void write_log(const std::filesystem::path& file, const LogContent& conte
       nav.session = 1;
       nav.mode = k < 20 ? nav_state_t::WAITING_FOR_VIO : k < 50 ? nav_state_t::DEAD_RECKONING : nav_state_t::MAP_AIDED;
       nav.reset_counter = k < 50 ? 0 : 1;
+      nav.horizontal_protection_level = nav.vertical_protection_level = content.nav_level;
       const Geodetic there = frame.to_geodetic(p_G_B + content.nav_error);
       nav.latitude_deg = k < 50 ? unknown : there.latitude_deg;
       nav.longitude_deg = k < 50 ? unknown : there.longitude_deg;

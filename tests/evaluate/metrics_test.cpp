@@ -64,6 +64,72 @@ TEST_F(Evaluate, OdometryIsAlignedWithAndWithoutItsScale) {
   EXPECT_NEAR(noisy.vio.yaw_only.rmse, 1.0, 0.01);
 }
 
+TEST_F(Evaluate, TheOdometrysScaleIsGivenAtTheStartAndLater) {
+  const Metrics metrics = evaluate(read({.vio_scale = 0.8}));
+  for (const auto& scale : {metrics.vio.scale_at_start, metrics.vio.scale_after_30s, metrics.vio.scale_at_end}) {
+    ASSERT_TRUE(scale);
+    EXPECT_NEAR(scale->error, -0.2, 1e-6);
+    EXPECT_TRUE(std::isnan(scale->stddev)) << "the odometry said nothing";
+  }
+  EXPECT_FALSE(evaluate(read({.vio = false})).vio.scale_at_start);
+}
+
+TEST_F(Evaluate, FixesThatLeanWithTheOdometryOverAnOffMapAreExplained) {
+  const FlightRecord& record =
+      read({.vio_scale = 1.0, .fix_error = {0.5, -0.3, 2.0}, .lean = 0.02, .fix_leans = 0.8, .false_fix = -1});
+  const ErrorRegression causes = evaluate(record).registration.regression;
+  EXPECT_EQ(causes.fixes, 29);
+  ASSERT_EQ(causes.together.size(), 5);
+  EXPECT_NEAR(causes.together[0], 0.8, 1e-3);
+  EXPECT_NEAR(causes.together[3], 0.5, 1e-3);
+  EXPECT_NEAR(causes.together[4], -0.3, 1e-3);
+  EXPECT_LT(causes.together_left, 1e-3);
+  EXPECT_GT(causes.horizontal, 1.0);
+  EXPECT_LT(causes.tilt_height.left, 0.45) << "what is left is the map's offset";
+  EXPECT_GT(causes.offset_left, 0.9);
+  EXPECT_GT(causes.heading.left, 0.9) << "headings were right, and explain nothing";
+  EXPECT_NEAR(causes.vertical_offset.slope, 2.0, 1e-6);
+  EXPECT_TRUE(std::isnan(evaluate(read({.fixes = false})).registration.regression.horizontal));
+}
+
+TEST_F(Evaluate, SharesAreOfAllImages) {
+  const FusionMetrics bounded = evaluate(read({})).fusion;
+  EXPECT_NEAR(bounded.located_share, (kImages - 50.0) / kImages, 1e-9);
+  EXPECT_NEAR(bounded.protection.bounded_share, (kImages - 50.0) / kImages, 1e-9);
+  const FusionMetrics unbounded = evaluate(read({.nav_level = std::nan("")})).fusion;
+  EXPECT_NEAR(unbounded.located_share, (kImages - 50.0) / kImages, 1e-9);
+  EXPECT_EQ(unbounded.protection.bounded_share, 0.0);
+}
+
+TEST_F(Evaluate, WhatHealthSaidIsKeptOncePerWording) {
+  read({});
+  {
+    LogReader reader(file_);
+    LogWriter writer(file_.string() + ".health");
+    while (const auto event = reader.next())
+      writer.write(event->utime, event->channel, event->data.data(), event->data.size());
+    health_t health{};
+    health.service = "vio";
+    for (const auto& [state, message] :
+         std::vector<std::pair<int8_t, std::string>>{{health_t::STARTING, "scale is uncertain by 19 %"},
+                                                     {health_t::DEGRADED, "scale is uncertain by 7.5 %"},
+                                                     {health_t::OK, ""},
+                                                     {health_t::DEGRADED, "few features"}}) {
+      health.utime += 1'000'000;
+      health.state = state;
+      health.message = message;
+      writer.write(kStart + health.utime, channel::kHealth, health);
+    }
+  }
+  const FlightRecord record = FlightRecord::read(file_.string() + ".health");
+  const auto said = to_json(record, evaluate(record))["health"]["vio"]["said"];
+  ASSERT_EQ(said.size(), 2U);
+  EXPECT_EQ(said[0]["message"], "scale is uncertain by 19 %");
+  EXPECT_EQ(said[0]["state"], "degraded") << "the worst with these words";
+  EXPECT_EQ(said[0]["heartbeats"], 2);
+  EXPECT_EQ(said[1]["message"], "few features");
+}
+
 TEST_F(Evaluate, TrueMatchesAreJudgedByTheImpliedPositionOfRefusedFixesToo) {
   const Metrics metrics = evaluate(read({}));
   const RegistrationMetrics& registration = metrics.registration;

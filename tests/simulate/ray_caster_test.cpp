@@ -167,6 +167,30 @@ TEST(RayCaster, CountsPixelsThatLookBeyondTheWorld) {
   EXPECT_TRUE(std::isnan(view.node_depth.at<float>(0, 0)) || std::isnan(view.node_depth.at<float>(29, 0)));
 }
 
+TEST(RayCaster, ARollingShutterSeesEachRowFromWhereTheCameraThenIs) {
+  Surface surface = plain([](double east, double north) { return 3.0 * std::sin(0.1 * east) + 0.05 * north; });
+  cv::RNG rng(1);
+  rng.fill(surface.luminance, cv::RNG::UNIFORM, 0, 255);
+  const HeightField field(surface);
+  const RayCaster caster(field, rural_camera());
+  // 20 m/s, 60 degrees/s of yaw and roll, 30 ms.
+  std::vector<CameraPose> rows;
+  for (int v = 0; v < 480; ++v) {
+    const double t = 0.030 * (v / 479.0 - 0.5);
+    rows.push_back(looking_down({20 * t, 5 * t, 110 + 3 * t}, {1.05 * t, 0, 1.05 * t}));
+  }
+  const View rolling = caster.render(rows);
+  for (const int v : {0, 7, 16, 239, 300, 479}) {
+    const View at_once = caster.render(rows[static_cast<size_t>(v)]);
+    EXPECT_LT(cv::norm(rolling.luminance.row(v), at_once.luminance.row(v), cv::NORM_INF), 1.5) << v;
+    if (v != 239) {
+      EXPECT_GT(cv::norm(rolling.luminance.row(v), caster.render(rows[239]).luminance.row(v), cv::NORM_INF), 20) << v;
+    }
+  }
+  rows.pop_back();
+  EXPECT_THROW(caster.render(rows), std::invalid_argument);
+}
+
 TEST(HeightField, RefusesSurfacesThatItCannotShow) {
   Surface surface = plain([](double, double) { return 0.0; });
   surface.height.at<float>(3, 3) = std::numeric_limits<float>::quiet_NaN();
@@ -198,7 +222,7 @@ class Effects : public testing::Test {
     const HeightField field(surface_);
     const RayCaster caster(field, camera);
     const CameraPose pose = looking_down({0, 0, 110});
-    return CameraEffects(options, camera, 3).expose(caster.render(pose), caster, begin, pose, end, 1.0, 0);
+    return CameraEffects(options, camera, 3).expose(caster.render(pose), caster, {{begin}, {pose}, {end}}, 1.0, 0);
   }
   cv::Mat expose(const CameraEffectOptions& options) {
     return expose(options, looking_down({0, 0, 110}), looking_down({0, 0, 110}));
@@ -224,6 +248,24 @@ TEST_F(Effects, ExposureDriftsAroundTheMeanLevel) {
   double square = 0;
   for (const double gain : gains) square += std::pow(std::log(gain / 1.5), 2);
   EXPECT_NEAR(std::sqrt(square / static_cast<double>(gains.size())), 0.06, 0.006);
+}
+
+TEST_F(Effects, TheGainJumpsUpAndDownByItsFactor) {
+  CameraEffectOptions options = no_effects();
+  options.mean_level = 120;
+  options.gain_step = std::log(2.0);
+  options.gain_step_s = 5;
+  const std::vector<double> gains = CameraEffects(options, rural_camera(), 3).gains(1000, 0.1, 80);
+  std::vector<size_t> jumps;
+  for (size_t i = 1; i < gains.size(); ++i) {
+    const double factor = gains[i] / gains[i - 1];
+    if (factor == 1) continue;
+    jumps.push_back(i);
+    EXPECT_NEAR(std::abs(std::log(factor)), std::log(2.0), 1e-12);
+  }
+  ASSERT_EQ(jumps.size(), 20U);
+  for (size_t i = 1; i < jumps.size(); ++i) EXPECT_NEAR(static_cast<double>(jumps[i] - jumps[i - 1]), 50, 1);
+  EXPECT_NEAR(std::sqrt(gains[jumps[0]] * gains[jumps[1]]), 1.5, 1e-9) << "around the mean level";
 }
 
 TEST_F(Effects, NoiseHasTheVarianceOfItsModel) {

@@ -2,7 +2,9 @@
 
 #include <algorithm>
 #include <numbers>
+#include <utility>
 
+#include <Eigen/QR>
 #include <gtest/gtest.h>
 
 #include "common/math/so3.h"
@@ -115,12 +117,146 @@ TEST(Sensors, TurnOnBiasesAreDrawnPerFlight) {
   EXPECT_NEAR(stddev(accel), 0.05, 0.006);
 }
 
+// The matrix M and residual of M input = output, by least squares.
+std::pair<Eigen::MatrixXd, double> linear_map(const Eigen::MatrixXd& input, const Eigen::MatrixXd& output) {
+  const Eigen::MatrixXd solved = input.transpose().colPivHouseholderQr().solve(output.transpose()).transpose();
+  return {solved, (solved * input - output).cwiseAbs().maxCoeff()};
+}
+
+// What a sensor said less the truth, and what it may have felt: rate and force, three rows each.
+struct Felt {
+  Eigen::MatrixXd gyro_error, accel_error, rate, force;
+};
+Felt felt(const SensorOptions& options, uint64_t seed) {
+  const SensorRecord r = record(options, 20, seed);
+  const auto n = static_cast<Eigen::Index>(r.imu.size());
+  Felt all{Eigen::MatrixXd(3, n), Eigen::MatrixXd(3, n), Eigen::MatrixXd(3, n), Eigen::MatrixXd(3, n)};
+  for (Eigen::Index i = 0; i < n; ++i) {
+    const imu_t& imu = r.imu[static_cast<size_t>(i)];
+    const MotionState state = flight().at(seconds_of(imu.utime));
+    all.rate.col(i) = state.angular_rate;
+    all.force.col(i) = state.specific_force;
+    all.gyro_error.col(i) = Eigen::Map<const Eigen::Vector3d>(imu.angular_rate) - state.angular_rate;
+    all.accel_error.col(i) = Eigen::Map<const Eigen::Vector3d>(imu.specific_force) - state.specific_force;
+  }
+  return all;
+}
+
+TEST(Sensors, ScaleFactorsAndLeaningAxesAreOneMatrixPerFlight) {
+  SensorOptions options = silent();
+  options.imu.gyro_scale = 0.01;
+  options.imu.gyro_misalignment_deg = 0.5;
+  options.imu.accel_scale = 0.02;
+  options.imu.accel_misalignment_deg = 1.0;
+  std::vector<double> diagonal, beside, accel_diagonal, accel_beside;
+  for (uint64_t seed = 0; seed < 30; ++seed) {
+    const Felt all = felt(options, seed);
+    const auto [gyro, gyro_residual] = linear_map(all.rate, all.gyro_error);
+    const auto [accel, accel_residual] = linear_map(all.force, all.accel_error);
+    EXPECT_LT(gyro_residual, 1e-9);
+    EXPECT_LT(accel_residual, 1e-9);
+    for (int i = 0; i < 3; ++i) {
+      for (int j = 0; j < 3; ++j) {
+        (i == j ? diagonal : beside).push_back(gyro(i, j));
+        (i == j ? accel_diagonal : accel_beside).push_back(accel(i, j));
+      }
+    }
+  }
+  EXPECT_NEAR(stddev(diagonal), 0.01, 0.002);
+  EXPECT_NEAR(stddev(beside), 0.5 * kDegree, 0.1 * kDegree);
+  EXPECT_NEAR(stddev(accel_diagonal), 0.02, 0.004);
+  EXPECT_NEAR(stddev(accel_beside), 1.0 * kDegree, 0.2 * kDegree);
+}
+
+TEST(Sensors, TheGyroscopeFeelsForceAsItIsToldTo) {
+  SensorOptions options = silent();
+  options.imu.gyro_g_sensitivity = 1e-3;
+  std::vector<double> elements;
+  for (uint64_t seed = 0; seed < 30; ++seed) {
+    const Felt all = felt(options, seed);
+    EXPECT_LT(all.accel_error.cwiseAbs().maxCoeff(), 1e-12);
+    const auto [sensitivity, residual] = linear_map(all.force, all.gyro_error);
+    EXPECT_LT(residual, 1e-9);
+    elements.insert(elements.end(), sensitivity.data(), sensitivity.data() + 9);
+  }
+  EXPECT_NEAR(stddev(elements), 1e-3, 2e-4);
+}
+
+TEST(Sensors, VibrationHasItsLevelAndKeepsToItsBand) {
+  SensorOptions options = silent();
+  options.imu.accel_vibration = 3;
+  options.imu.gyro_vibration = 0.05;
+  const double rate = 500, seconds = 60;
+  const SensorRecord exact = record(silent(), seconds, 1, rate), shaken = record(options, seconds, 1, rate);
+  std::vector<double> accel, gyro;
+  for (size_t i = 0; i < exact.imu.size(); ++i) {
+    accel.push_back(shaken.imu[i].specific_force[1] - exact.imu[i].specific_force[1]);
+    gyro.push_back(shaken.imu[i].angular_rate[2] - exact.imu[i].angular_rate[2]);
+  }
+  EXPECT_NEAR(stddev(accel), 3, 0.1);
+  EXPECT_NEAR(stddev(gyro), 0.05, 0.002);
+  // Power between two frequencies, by the discrete Fourier transform, as a part of the whole.
+  const auto part = [&](double low_hz, double high_hz) {
+    double power = 0;
+    const auto n = static_cast<double>(accel.size());
+    for (double hz = low_hz; hz < high_hz; hz += rate / n) {
+      double c = 0, s = 0;
+      for (size_t i = 0; i < accel.size(); ++i) {
+        const double angle = 2 * std::numbers::pi * hz * static_cast<double>(i) / rate;
+        c += accel[i] * std::cos(angle);
+        s += accel[i] * std::sin(angle);
+      }
+      power += 2 * (c * c + s * s) / (n * n);
+    }
+    return power / 9.0;
+  };
+  EXPECT_LT(part(5, 19), 0.01);
+  EXPECT_LT(part(101, 115), 0.01);
+}
+
+TEST(Sensors, StampsDriftAndLostImagesLeaveTheOthersAsTheyWere) {
+  SensorOptions options;
+  const std::vector<FrameTime> whole = record(options, 120).frames;
+  options.camera.dropped = 0.25;
+  const std::vector<FrameTime> some = record(options, 120).frames;
+  EXPECT_NEAR(static_cast<double>(some.size()) / static_cast<double>(whole.size()), 0.75, 0.05);
+  for (const FrameTime& frame : some) {
+    EXPECT_EQ(frame.t, whole[frame.index].t);
+    EXPECT_EQ(frame.utime, whole[frame.index].utime);
+  }
+  options = silent();
+  options.camera.time_drift_ms_min = 5;
+  for (const FrameTime& frame : record(options, 120).frames) {
+    EXPECT_NEAR(seconds_of(frame.utime) - frame.t, 0.005 * frame.t / 60, 1.1e-6);
+  }
+}
+
+TEST(Sensors, ACompassIsOffByItsOffsetWithoutSayingSo) {
+  SensorOptions options;
+  const SensorRecord before = record(options, 5);
+  options.compass.offset_deg = -20;
+  const SensorRecord off = record(options, 5);
+  for (size_t i = 0; i < before.compass.size(); ++i) {
+    EXPECT_NEAR(wrap_angle(off.compass[i].heading - before.compass[i].heading), -20 * kDegree, 1e-9);
+    EXPECT_EQ(off.compass[i].heading_stddev, before.compass[i].heading_stddev);
+  }
+  EXPECT_NEAR(off.truth[0].compass_bias - before.truth[0].compass_bias, -20 * kDegree, 1e-12);
+  options.compass.enabled = false;
+  const SensorRecord none = record(options, 5);
+  EXPECT_TRUE(none.compass.empty());
+  EXPECT_EQ(none.imu.back().specific_force[0], before.imu.back().specific_force[0]);
+}
+
 TEST(Sensors, OneLevelDoesNotChangeTheNoiseOfTheOthers) {
   SensorOptions options;
   const SensorRecord before = record(options, 5);
   options.imu.gyro_noise = 0;
+  options.imu.gyro_scale = 0.1;
+  options.imu.gyro_vibration = 1;
+  options.imu.gyro_g_sensitivity = 1e-2;
   options.compass.noise_deg = 0;
   options.camera.time_jitter_ms = 0;
+  options.camera.dropped = 0.5;
   options.altitude.enabled = true;
   const SensorRecord after = record(options, 5);
   for (size_t i = 0; i < before.imu.size(); ++i) {

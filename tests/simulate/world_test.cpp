@@ -78,6 +78,22 @@ TEST_F(WorldTest, CameraEpochDoesNotDependOnTheDifference) {
       << "nor on whether a map is made";
 }
 
+TEST_F(WorldTest, SnowHidesTheGroundFromTheCameraAndNotFromTheMap) {
+  const auto contrast = [](const cv::Mat& image) {
+    cv::Scalar mean, deviation;
+    cv::meanStdDev(image, mean, deviation);
+    return deviation[0] / mean[0];
+  };
+  const World bare = make(7, "season", folder_ / "bare.tif");
+  const World half = make(7, "season", folder_ / "half.tif", "  snow: 0.5\n");
+  const World white = make(7, "season", folder_ / "white.tif", "  snow: 1.0\n");
+  EXPECT_LT(contrast(half.surface.luminance), 0.7 * contrast(bare.surface.luminance));
+  EXPECT_LT(contrast(white.surface.luminance), contrast(half.surface.luminance));
+  EXPECT_GT(contrast(white.surface.luminance), 0) << "shadows stay";
+  EXPECT_TRUE(same(bare.surface.height, white.surface.height));
+  EXPECT_TRUE(same(read(folder_ / "bare.tif"), read(folder_ / "white.tif")));
+}
+
 TEST_F(WorldTest, MapStandsWhereItsGeoreferenceSays) {
   // Without change, error, lean and noise, the map shows what the camera sees, at the same place in any coordinate
   // system.

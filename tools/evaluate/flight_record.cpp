@@ -1,6 +1,7 @@
 #include "tools/evaluate/flight_record.h"
 
 #include <algorithm>
+#include <cctype>
 #include <cmath>
 #include <stdexcept>
 
@@ -43,6 +44,27 @@ void take(const LogEvent& event, Collected& collected, Keep keep) {
   }
 }
 
+// Whether two messages are the same but for their numbers.
+bool same_words(const std::string& a, const std::string& b) {
+  const auto words = [](const std::string& text) {
+    std::string kept;
+    for (const char c : text) {
+      if (std::isdigit(static_cast<unsigned char>(c)) == 0 && c != '.' && c != '-') kept += c;
+    }
+    return kept;
+  };
+  return words(a) == words(b);
+}
+
+void remember_words(const health_t& health, std::vector<HealthWords>& said) {
+  if (health.message.empty()) return;
+  auto words = std::find_if(said.begin(), said.end(),
+                            [&](const HealthWords& w) { return same_words(w.message, health.message); });
+  if (words == said.end()) words = said.insert(said.end(), {health.message, health.state, health.utime, 0});
+  ++words->heartbeats;
+  words->state = std::max(words->state, health.state);
+}
+
 void sort_in(const LogEvent& event, Collected& collected) {
   FlightRecord& record = collected.record;
   if (event.channel == channel::kTruth) {
@@ -82,7 +104,10 @@ void sort_in(const LogEvent& event, Collected& collected) {
       (m.source == nav_state_t::INERTIAL ? record.nav_inertial : record.nav).push_back({event.utime, m});
     });
   } else if (event.channel == channel::kHealth) {
-    take<health_t>(event, collected, [&](const health_t& m) { record.health[m.service] = m; });
+    take<health_t>(event, collected, [&](const health_t& m) {
+      record.health[m.service] = m;
+      remember_words(m, record.health_words[m.service]);
+    });
   } else {
     ++record.channels[event.channel].messages;
   }
@@ -110,12 +135,14 @@ void place_references(Collected& collected) {
     const Eigen::Quaterniond q_G_local(Eigen::Matrix3d(record.frame->R_local_G(sample.p_G_B).transpose()));
     sample.q_G_B = (q_G_local * quaternion_of(m.q_ENU_B)).normalized();
     sample.map_offset_en = Eigen::Vector2d(m.map_offset_en[0], m.map_offset_en[1]);
+    sample.height_above_ground = m.height_above_ground;
     record.truth.add(sample);
   }
   for (const gnss_reference_t& m : collected.gnss) {
     ReferenceSample sample;
     sample.utime = m.utime;
     sample.p_G_B = record.frame->to_enu({m.latitude_deg, m.longitude_deg, m.ellipsoidal_height});
+    sample.height_above_ground = std::nan("");
     record.gnss.add(sample);
   }
   record.truth.finish();
@@ -163,6 +190,7 @@ std::optional<ReferenceSample> Reference::at(int64_t utime) const {
   sample.p_G_B = (1.0 - t) * before.p_G_B + t * after->p_G_B;
   sample.q_G_B = before.q_G_B.slerp(t, after->q_G_B);
   sample.map_offset_en = (1.0 - t) * before.map_offset_en + t * after->map_offset_en;
+  sample.height_above_ground = (1.0 - t) * before.height_above_ground + t * after->height_above_ground;
   return sample;
 }
 

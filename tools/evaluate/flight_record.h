@@ -30,6 +30,7 @@ struct ReferenceSample {
   Eigen::Vector3d p_G_B = Eigen::Vector3d::Zero();
   Eigen::Quaterniond q_G_B = Eigen::Quaterniond::Identity();
   Eigen::Vector2d map_offset_en = Eigen::Vector2d::Zero();  // m, of the map's georeference; NaN: unknown
+  double height_above_ground = 0;                           // m; NaN: unknown
 };
 
 // A reference over time.
@@ -58,6 +59,14 @@ struct ChannelCount {
   int64_t undecodable = 0;
 };
 
+// Something a service's health said, numbers in it aside.
+struct HealthWords {
+  std::string message;  // as it was first said
+  int8_t state = 0;     // of health_t, the worst with it
+  int64_t first = 0;    // utime
+  int heartbeats = 0;   // that said it
+};
+
 struct FlightRecord {
   std::optional<EnuFrame> frame;  // none when the log holds no position at all
   Reference truth;
@@ -66,9 +75,10 @@ struct FlightRecord {
   std::vector<Logged<vio_state_t>> vio;
   std::vector<vio_keyframe_t> keyframes;  // without their features
   std::vector<map_fix_t> fixes;
-  std::vector<Logged<nav_state_t>> nav;           // at the images' times
-  std::vector<Logged<nav_state_t>> nav_inertial;  // between them, at the inertial sensor's rate
-  std::map<std::string, health_t> health;         // the last of each service
+  std::vector<Logged<nav_state_t>> nav;                          // at the images' times
+  std::vector<Logged<nav_state_t>> nav_inertial;                 // between them, at the inertial sensor's rate
+  std::map<std::string, health_t> health;                        // the last of each service
+  std::map<std::string, std::vector<HealthWords>> health_words;  // in the order they were first said
   std::map<std::string, ChannelCount> channels;
   int64_t skipped_bytes = 0;  // of the log that are no event
   int64_t begin = 0;          // utime of the first measurement

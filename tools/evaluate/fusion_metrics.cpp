@@ -57,13 +57,17 @@ void judge_consistency(const nav_state_t& nav, const Eigen::Vector3d& position, 
   if (velocity && P_velocity.allFinite()) normalised_errors.velocity.push_back(normalised(P_velocity, *velocity));
 }
 
+bool is_bounded(const nav_state_t& nav) {
+  return std::isfinite(nav.horizontal_protection_level) && std::isfinite(nav.vertical_protection_level);
+}
+
 struct Protected {
   std::vector<double> horizontal, vertical;  // levels
   ProtectionStatistics statistics;
 
   void add(const nav_state_t& nav, const Eigen::Vector3d& error) {
     ++statistics.epochs;
-    if (!std::isfinite(nav.horizontal_protection_level) || !std::isfinite(nav.vertical_protection_level)) return;
+    if (!is_bounded(nav)) return;
     ++statistics.bounded;
     horizontal.push_back(nav.horizontal_protection_level);
     vertical.push_back(nav.vertical_protection_level);
@@ -148,7 +152,7 @@ FusionMetrics evaluate_fusion(const FlightRecord& record) {
   std::vector<double> headings, velocities, times;
   Normalised normalised_errors;
   Protected protection;
-  int located = 0, coasting = 0, judged = 0, inside = 0;
+  int located = 0, coasting = 0, judged = 0, inside = 0, images_located = 0, images_bounded = 0;
   double last_ms = 0;
   int64_t first_located = 0;
   for (const auto& [logged_at, nav] : record.nav) {
@@ -161,6 +165,10 @@ FusionMetrics evaluate_fusion(const FlightRecord& record) {
     if (first_located == 0) first_located = nav.utime;
     ++located;
     coasting += nav.mode == nav_state_t::COASTING ? 1 : 0;
+    if (record.images.count(nav.utime) > 0) {
+      ++images_located;
+      images_bounded += is_bounded(nav) ? 1 : 0;
+    }
     if (const auto sample = record.gnss.at(nav.utime)) gnss.push_back(*p_G_B - sample->p_G_B);
     const auto sample = reference.at(nav.utime);
     if (!sample) continue;
@@ -208,6 +216,8 @@ FusionMetrics evaluate_fusion(const FlightRecord& record) {
   fusion.outages = find_outages(record, reference);
   fusion.inertial = evaluate_inertial(record);
   fusion.coasting_share = share(coasting, located);
+  fusion.located_share = share(images_located, static_cast<int>(record.images.size()));
+  fusion.protection.bounded_share = share(images_bounded, static_cast<int>(record.images.size()));
   fusion.time = Times::of(times);
   fusion.time_to_first_fix = fusion.time_to_first_fix_from_start = kNan;
   if (first_located != 0) {

@@ -12,6 +12,7 @@
 #include "common/bus/channels.h"
 #include "common/math/so3.h"
 #include "common/math/statistics.h"
+#include "tools/evaluate/error_regression.h"
 #include "tools/evaluate/figures.h"
 #include "tools/evaluate/fusion_metrics.h"
 
@@ -129,6 +130,10 @@ VioMetrics evaluate_vio(const FlightRecord& record) {
   if (!record.truth.empty()) vio.gnss = PositionErrors::of(gnss);
   if (record.truth.empty()) vio.truth = PositionErrors::of({});
   vio.yaw_only = PositionErrors::of(rigid);
+  const OdometryScale scale(record);
+  vio.scale_at_start = scale.beginning_at(scale.begin());
+  vio.scale_after_30s = scale.beginning_at(scale.begin() + 30'000'000);
+  vio.scale_at_end = scale.ending_at(scale.end());
   vio.heading_rmse = root_mean_square(headings);
   vio.drift_per_100m = median(drifts);
   return vio;
@@ -336,6 +341,7 @@ Metrics evaluate(const FlightRecord& record) {
   describe_flight(record, metrics);
   metrics.vio = evaluate_vio(record);
   metrics.registration = evaluate_registration(record);
+  metrics.registration.regression = regress_errors(record, metrics.registration);
   metrics.fusion = evaluate_fusion(record);
   metrics.transport = evaluate_transport(record);
   note_what_is_missing(record, metrics, metrics.notes);

@@ -1,6 +1,7 @@
 // The figures of a flight. README.md beside this file documents each as a key of report.json.
 #pragma once
 
+#include <limits>
 #include <optional>
 #include <string>
 #include <vector>
@@ -9,6 +10,7 @@
 
 #include "common/math/align.h"
 #include "tools/evaluate/flight_record.h"
+#include "tools/evaluate/odometry_scale.h"
 
 namespace orthonav::evaluate {
 
@@ -40,10 +42,12 @@ struct ErrorSample {
 };
 
 struct VioMetrics {
-  PositionErrors truth;       // after Umeyama alignment with scale, each session by itself
-  PositionErrors yaw_only;    // after alignment in yaw and translation
-  PositionErrors gnss;        // as `truth`, against the GNSS reference
-  double scale = 0;           // true size over the odometry's, of the longest session
+  PositionErrors truth;     // after Umeyama alignment with scale, each session by itself
+  PositionErrors yaw_only;  // after alignment in yaw and translation
+  PositionErrors gnss;      // as `truth`, against the GNSS reference
+  double scale = 0;         // true size over the odometry's, of the longest session
+  // Of the odometry's first stretch, the first one from 30 s later on, and the last; none where it did not move.
+  std::optional<ScaleError> scale_at_start, scale_after_30s, scale_at_end;
   double heading_rmse = 0;    // rad, after alignment in yaw and translation
   double drift_per_100m = 0;  // m, median over all stretches of 100 m
   int restarts = 0;
@@ -62,6 +66,29 @@ struct JudgedFix {
   bool false_fix = false;   // valid and more than 30 m from the reference
 };
 
+// A cause fitted alone to the fixes' errors.
+struct ExplainedError {
+  double slope = std::numeric_limits<double>::quiet_NaN();
+  double left = std::numeric_limits<double>::quiet_NaN();  // m, root mean square per axis, that it does not explain
+};
+
+// error_regression.h says of what model. NaN with fewer than 10 fixes.
+struct ErrorRegression {
+  int fixes = 0;
+  double horizontal = std::numeric_limits<double>::quiet_NaN();  // m, root mean square per axis, of the errors
+  ExplainedError tilt_height;                                    // slope 1: a fix leans as the odometry does
+  ExplainedError heading;  // slope: m to the left of the course per rad, clockwise
+  ExplainedError scale;    // slope: m along the course per unit of scale
+  Eigen::Vector2d offset_en = Eigen::Vector2d::Constant(std::numeric_limits<double>::quiet_NaN());  // m, constant
+  double offset_left = std::numeric_limits<double>::quiet_NaN();
+  Eigen::VectorXd together;  // slopes of tilt, heading, scale, and the offset east and north, fitted at once
+  double together_left = std::numeric_limits<double>::quiet_NaN();
+  double vertical = std::numeric_limits<double>::quiet_NaN();  // m, root mean square
+  ExplainedError scale_height;
+  ExplainedError vertical_offset;  // slope: m
+  double vertical_together_left = std::numeric_limits<double>::quiet_NaN();
+};
+
 struct RegistrationMetrics {
   PositionErrors truth;          // of the valid fixes
   PositionErrors truth_correct;  // of those within 30 m
@@ -73,6 +100,7 @@ struct RegistrationMetrics {
   double inliers_median = 0;  // of the true matches
   Times time, describe, match, solve;
   std::vector<JudgedFix> fixes;
+  ErrorRegression regression;
 };
 
 // Means of the squared error weighted by the inverse of the reported covariance, per degree of freedom.
@@ -85,6 +113,7 @@ struct Consistency {
 struct ProtectionStatistics {
   int epochs = 0;
   int bounded = 0;                                                // with both levels
+  double bounded_share = 0;                                       // of the images
   int misleading_horizontal = 0, misleading_vertical = 0;         // error beyond its level
   double horizontal_median = 0, vertical_median = 0;              // m, of the levels
   double largest_horizontal_part = 0, largest_vertical_part = 0;  // error over level
@@ -119,6 +148,7 @@ struct FusionMetrics {
   double time_to_first_fix = 0;  // s from the first tracked odometry state
   double time_to_first_fix_from_start = 0;  // s from the first measurement
   double coasting_share = 0;                // of the time after the first fix
+  double located_share = 0;                 // of the images
   int resets = 0;
   Times time;
   std::vector<ErrorSample> track;

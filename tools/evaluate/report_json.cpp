@@ -33,17 +33,50 @@ ordered_json to_json(const Times& times) {
   return {{"median", times.median}, {"p99", times.p99}, {"samples", times.samples}};
 }
 
+ordered_json to_json(const std::optional<ScaleError>& scale) {
+  if (!scale) return nullptr;
+  return {{"error", scale->error}, {"stddev", scale->stddev}};
+}
+
 ordered_json vio_json(const VioMetrics& vio) {
   ordered_json json;
   put(json, vio.truth);
   json["vs_gnss"] = short_form(vio.gnss);
   json["yaw_aligned"] = short_form(vio.yaw_only);
   json["scale"] = vio.scale;
+  json["scale_errors"] = {{"start", to_json(vio.scale_at_start)},
+                          {"after_30s", to_json(vio.scale_after_30s)},
+                          {"end", to_json(vio.scale_at_end)}};
   json["heading_rmse_deg"] = vio.heading_rmse * kDegPerRad;
   json["drift_m_per_100m"] = vio.drift_per_100m;
   json["restarts"] = vio.restarts;
   json["tracking_share"] = vio.tracking_share;
   json["time_ms"] = to_json(vio.time);
+  return json;
+}
+
+ordered_json to_json(const ExplainedError& explained) {
+  return {{"slope", explained.slope}, {"left_m", explained.left}};
+}
+
+ordered_json regression_json(const ErrorRegression& regression) {
+  ordered_json json;
+  json["fixes"] = regression.fixes;
+  json["horizontal_m"] = regression.horizontal;
+  json["tilt_height"] = to_json(regression.tilt_height);
+  json["heading"] = to_json(regression.heading);
+  json["scale"] = to_json(regression.scale);
+  json["offset"] = {
+      {"east_m", regression.offset_en.x()}, {"north_m", regression.offset_en.y()}, {"left_m", regression.offset_left}};
+  json["together"] = nullptr;
+  if (const Eigen::VectorXd& slopes = regression.together; slopes.size() == 5) {
+    json["together"] = {{"tilt_height", slopes[0]}, {"heading", slopes[1]}, {"scale", slopes[2]},
+                        {"east_m", slopes[3]},      {"north_m", slopes[4]}, {"left_m", regression.together_left}};
+  }
+  json["vertical_m"] = regression.vertical;
+  json["scale_height"] = to_json(regression.scale_height);
+  json["vertical_offset"] = to_json(regression.vertical_offset);
+  json["vertical_together_left_m"] = regression.vertical_together_left;
   return json;
 }
 
@@ -64,6 +97,7 @@ ordered_json registration_json(const RegistrationMetrics& registration) {
   json["describe_ms"] = to_json(registration.describe);
   json["match_ms"] = to_json(registration.match);
   json["solve_ms"] = to_json(registration.solve);
+  json["regression"] = regression_json(registration.regression);
   return json;
 }
 
@@ -71,6 +105,7 @@ ordered_json protection_json(const ProtectionStatistics& protection) {
   ordered_json json;
   json["epochs"] = protection.epochs;
   json["bounded"] = protection.bounded;
+  json["bounded_share"] = protection.bounded_share;
   json["misleading_horizontal"] = protection.misleading_horizontal;
   json["misleading_vertical"] = protection.misleading_vertical;
   json["horizontal_median_m"] = protection.horizontal_median;
@@ -107,6 +142,7 @@ ordered_json fusion_json(const FusionMetrics& fusion) {
   json["time_to_first_fix_s"] = fusion.time_to_first_fix;
   json["time_to_first_fix_from_start_s"] = fusion.time_to_first_fix_from_start;
   json["coasting_share"] = fusion.coasting_share;
+  json["located_share"] = fusion.located_share;
   json["resets"] = fusion.resets;
   json["time_ms"] = to_json(fusion.time);
   return json;
@@ -114,13 +150,21 @@ ordered_json fusion_json(const FusionMetrics& fusion) {
 
 ordered_json health_json(const FlightRecord& record) {
   static const char* const kStates[] = {"starting", "ok", "degraded", "failed"};
+  const auto name_of = [](int8_t state) { return state >= 0 && state < 4 ? kStates[state] : "unknown"; };
   ordered_json json = ordered_json::object();
   for (const auto& [service, health] : record.health) {
     ordered_json entry;
-    entry["state"] = health.state >= 0 && health.state < 4 ? kStates[health.state] : "unknown";
+    entry["state"] = name_of(health.state);
     entry["message"] = health.message;
     entry["counters"] = ordered_json::object();
     for (const auto& counter : health.counters) entry["counters"][counter.name] = counter.value;
+    entry["said"] = ordered_json::array();
+    for (const HealthWords& words : record.health_words.at(service)) {
+      entry["said"].push_back({{"message", words.message},
+                               {"state", name_of(words.state)},
+                               {"first_s", record.seconds(words.first)},
+                               {"heartbeats", words.heartbeats}});
+    }
     json[service] = entry;
   }
   return json;
@@ -189,6 +233,18 @@ std::string to_table(const Metrics& metrics) {
       "protection levels, median {} / {} m; {} of {} epochs bounded, misleading {} horizontally, {} vertically\n",
       figure(protection.horizontal_median, 1), figure(protection.vertical_median, 1), protection.bounded,
       protection.epochs, protection.misleading_horizontal, protection.misleading_vertical);
+  if (const ErrorRegression& causes = registration.regression; std::isfinite(causes.horizontal)) {
+    text += fmt::format(
+        "fixes err by {} m an axis horizontally; less {} of tilt x height {}, less heading {}, less scale {}, less a "
+        "constant {}, less all {}\n",
+        figure(causes.horizontal), figure(causes.tilt_height.slope), figure(causes.tilt_height.left),
+        figure(causes.heading.left), figure(causes.scale.left), figure(causes.offset_left),
+        figure(causes.together_left));
+    text +=
+        fmt::format("fixes err by {} m vertically; less {} of scale x height {}, less a constant {}, less both {}\n",
+                    figure(causes.vertical), figure(causes.scale_height.slope), figure(causes.scale_height.left),
+                    figure(causes.vertical_offset.left), figure(causes.vertical_together_left));
+  }
   for (const Outage& outage : fusion.outages) {
     text += fmt::format("without the map from {} s for {} s, at most {} m off\n", figure(outage.begin, 1),
                         figure(outage.duration, 1), figure(outage.largest_error, 1));

@@ -16,11 +16,13 @@ constexpr size_t kNoiseTable = 65536;
 constexpr double kSharp = 0.01;  // pixels: motion that blurs nothing
 
 // Displacement, in pixels, of the scene in the image when the camera moves from one pose to another, at the depth
-// nodes of a view. CV_32FC2; zero for sky.
-cv::Mat node_flow(const View& view, const RayCaster& caster, const CameraModel& camera, const CameraPose& from,
-                  const CameraPose& to) {
+// nodes of a view. CV_32FC2; zero for sky. Rows that are read at other times move as their own poses say.
+cv::Mat node_flow(const View& view, const RayCaster& caster, const CameraModel& camera,
+                  const std::vector<CameraPose>& from_rows, const std::vector<CameraPose>& to_rows) {
   cv::Mat flow(view.node_depth.size(), CV_32FC2, cv::Scalar::all(0));
   for (int j = 0; j < flow.rows; ++j) {
+    const size_t row = from_rows.size() > 1 ? static_cast<size_t>(j) * View::kNodeStep : 0;
+    const CameraPose &from = from_rows[row], &to = to_rows[row];
     for (int i = 0; i < flow.cols; ++i) {
       const float depth = view.node_depth.at<float>(j, i);
       if (std::isnan(depth)) continue;
@@ -68,9 +70,12 @@ cv::Mat dense_flow(const cv::Mat& nodes, cv::Size size) {
 CameraEffectOptions CameraEffectOptions::from_config(ConfigNode& node) {
   CameraEffectOptions options;
   node.read("exposure_ms", options.exposure_ms, 0.0, 100.0);
+  node.read("readout_ms", options.readout_ms, -100.0, 100.0);
   node.read("mean_level", options.mean_level, 1.0, 255.0);
   node.read("gain_stddev", options.gain_stddev, 0.0, 1.0);
   node.read("gain_time_s", options.gain_time_s, 0.1, 1e4);
+  node.read("gain_step", options.gain_step, 0.0, 5.0);
+  node.read("gain_step_s", options.gain_step_s, 0.1, 1e4);
   node.read("vignetting", options.vignetting, 0.0, 0.9);
   node.read("shot_noise", options.shot_noise, 0.0, 10.0);
   node.read("read_noise", options.read_noise, 0.0, 50.0);
@@ -102,14 +107,19 @@ std::vector<double> CameraEffects::gains(size_t count, double period, double mea
   RandomStream stream(seed_, "camera.gain");
   std::vector<double> gains = correlated_noise(stream, count, period, options_.gain_stddev, options_.gain_time_s);
   const double base = options_.mean_level / std::max(mean_luminance, 1.0);
-  for (double& gain : gains) gain = base * std::exp(gain);
+  RandomStream steps(seed_, "camera.gain_step");
+  const double phase = steps.uniform(0, 2);  // of a jump up and one down
+  for (size_t i = 0; i < gains.size(); ++i) {
+    const double jumps = static_cast<double>(i) * period / options_.gain_step_s + phase;
+    const double step = std::fmod(jumps, 2.0) < 1.0 ? 0.5 * options_.gain_step : -0.5 * options_.gain_step;
+    gains[i] = base * std::exp(gains[i] + step);
+  }
   return gains;
 }
 
-cv::Mat CameraEffects::blur(const View& view, const RayCaster& caster, const CameraPose& begin, const CameraPose& pose,
-                            const CameraPose& end) const {
-  const cv::Mat back_nodes = node_flow(view, caster, camera_, pose, begin);
-  const cv::Mat ahead_nodes = node_flow(view, caster, camera_, pose, end);
+cv::Mat CameraEffects::blur(const View& view, const RayCaster& caster, const Exposure& exposure) const {
+  const cv::Mat back_nodes = node_flow(view, caster, camera_, exposure.middle, exposure.begin);
+  const cv::Mat ahead_nodes = node_flow(view, caster, camera_, exposure.middle, exposure.end);
   const double length = std::max(longest(back_nodes), longest(ahead_nodes));
   if (length < kSharp) return view.luminance;
   const int half = static_cast<int>(std::ceil(2.0 * length));  // samples at most half a pixel apart
@@ -141,9 +151,9 @@ cv::Mat CameraEffects::blur(const View& view, const RayCaster& caster, const Cam
   return out;
 }
 
-cv::Mat CameraEffects::expose(const View& view, const RayCaster& caster, const CameraPose& begin,
-                              const CameraPose& pose, const CameraPose& end, double gain, uint64_t index) const {
-  const cv::Mat light = blur(view, caster, begin, pose, end);
+cv::Mat CameraEffects::expose(const View& view, const RayCaster& caster, const Exposure& exposure, double gain,
+                              uint64_t index) const {
+  const cv::Mat light = blur(view, caster, exposure);
   cv::Mat image(light.size(), CV_8U);
   RandomStream stream(seed_, "camera.noise." + std::to_string(index));
   uint64_t pool = 0;

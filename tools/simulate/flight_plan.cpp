@@ -9,6 +9,7 @@
 
 #include "common/config/config.h"
 #include "common/math/so3.h"
+#include "tools/simulate/flight_phases.h"
 #include "tools/simulate/random_stream.h"
 
 namespace orthonav::simulate {
@@ -22,6 +23,7 @@ constexpr double kJitterStep = 0.12;        // s
 constexpr double kWaypointSpacing = 120.0;  // m, longest stretch of a lane without a waypoint
 constexpr double kSample = 0.02;            // s, of the nominal motion along the path
 constexpr double kBodyAboveGround = 0.15;   // m, of an aircraft on its legs
+constexpr double kFullGusts = 5.0;          // m above the ground, from where a flight by phases has them
 // Standard deviation of a degree 7 spline whose control points are independent with unit variance.
 constexpr double kWhiteSplineStddev = 0.5875;
 
@@ -173,25 +175,12 @@ struct Planner {
   const FlightArea& area;
   double gravity;
   uint64_t seed;
-  Eigen::Vector2d start_en;                  // foot of the take-off
-  double climb_begin = 0, survey_begin = 0;  // s
-  double ground = 0, survey_height = 0;      // m in G, of the body
-
-  double end() const { return survey_begin + options.duration_s; }
-
-  // 0 on the ground, 1 in the air.
-  double airborne(double t) const {
-    return options.take_off ? std::clamp((t - climb_begin - 0.5) / 2.0, 0.0, 1.0) : 1.0;
-  }
-
-  double nominal_height(double t) const {
-    if (!options.take_off) return survey_height;
-    return std::min(survey_height, ground + options.climb_speed * std::max(0.0, t - climb_begin));
-  }
+  double end;                              // s
+  std::function<double(double)> airborne;  // of a time: 0 on the ground, 1 in the air
 
   template <int Dim, class Value>
   UniformSpline<Dim> spline(double step, Value&& value) const {
-    const size_t count = UniformSpline<Dim>::control_count(0, end(), step);
+    const size_t count = UniformSpline<Dim>::control_count(0, end, step);
     const double start = UniformSpline<Dim>::control_start(0, step);
     std::vector<typename UniformSpline<Dim>::Point> control(count);
     for (size_t i = 0; i < count; ++i) control[i] = value(start + static_cast<double>(i) * step, i);
@@ -200,10 +189,12 @@ struct Planner {
 
   std::vector<double> noise(const char* name, double step, double stddev, double time) const {
     RandomStream stream(seed, name);
-    return correlated_noise(stream, UniformSpline<1>::control_count(0, end(), step), step, stddev, time);
+    return correlated_noise(stream, UniformSpline<1>::control_count(0, end, step), step, stddev, time);
   }
 
-  UniformSpline<3> position(const std::vector<Leg>& legs, const std::vector<double>& motion) const {
+  // Of the nominal position, m in G, over time.
+  template <class Nominal>
+  UniformSpline<3> position(Nominal&& nominal) const {
     const auto east = noise("flight.wander.east", kPathStep, options.wander_stddev_m, options.wander_time_s);
     const auto north = noise("flight.wander.north", kPathStep, options.wander_stddev_m, options.wander_time_s);
     // Height is held better than position.
@@ -211,20 +202,17 @@ struct Planner {
     const auto slow = noise("flight.height", kPathStep, options.height_stddev_m, options.height_time_s);
     return spline<3>(kPathStep, [&](double t, size_t i) {
       const double on = airborne(t);
-      const double s = at_time(motion, t - survey_begin);
-      const Eigen::Vector2d en = options.take_off && t < survey_begin ? start_en : point_at(legs, s);
-      return Eigen::Vector3d(en.x() + on * east[i], en.y() + on * north[i], nominal_height(t) + on * (up[i] + slow[i]));
+      const Eigen::Vector3d p = nominal(t);
+      return Eigen::Vector3d(p.x() + on * east[i], p.y() + on * north[i], p.z() + on * (up[i] + slow[i]));
     });
   }
 
-  UniformSpline<1> yaw(const std::vector<Leg>& legs, const std::vector<double>& motion) const {
+  // Of the nominal heading, rad, asked for at rising times, kYawStep apart.
+  template <class Nominal>
+  UniformSpline<1> yaw(Nominal&& nominal) const {
     const auto wander = noise("flight.yaw", kYawStep, options.yaw_wander_deg * kDegree, 5.0);
-    double heading = legs.front().yaw;
     return spline<1>(kYawStep, [&](double t, size_t i) {
-      const double wanted = legs[leg_at(legs, at_time(motion, t - survey_begin))].yaw;
-      const double most = options.yaw_rate_deg * kDegree * kYawStep;
-      heading += std::clamp(wrap_angle(wanted - heading), -most, most);
-      return Eigen::Matrix<double, 1, 1>(heading + airborne(t) * wander[i]);
+      return Eigen::Matrix<double, 1, 1>(nominal(t) + airborne(t) * wander[i]);
     });
   }
 
@@ -250,20 +238,108 @@ struct Planner {
   }
 
   Trajectory assemble(const UniformSpline<3>& path, const UniformSpline<1>& nose, double wind_speed) const {
-    return Trajectory({path, nose, wind(wind_speed), jitter(), options.drag, gravity, end()});
+    return Trajectory({path, nose, wind(wind_speed), jitter(), options.drag, gravity, end});
   }
 };
 
-// The lowest surface near the beginning of the path: aircraft do not start from roofs and treetops.
-Eigen::Vector2d take_off_place(const FlightArea& area, const Eigen::Vector2d& near) {
-  Eigen::Vector2d best = near;
-  for (int north = -15; north <= 15; ++north) {
-    for (int east = -15; east <= 15; ++east) {
-      const Eigen::Vector2d candidate = near + Eigen::Vector2d(east, north);
-      if (area.surface(candidate) < area.surface(best)) best = candidate;
-    }
+Trajectory plan_ordered_flight(const FlightOptions& options, const FlightArea& area, double gravity, uint64_t seed) {
+  const OrderedFlight ordered = fly_phases(options, area, gravity, kBodyAboveGround, seed);
+  const auto nominal = [&](double t) -> Eigen::Vector3d { return ordered.motion.at(t).head<3>(); };
+  const auto airborne = [&](double t) {
+    const Eigen::Vector3d p = nominal(t);
+    return std::clamp((p.z() - kBodyAboveGround - area.surface(p.head<2>())) / kFullGusts, 0.0, 1.0);
+  };
+  const Planner planner{options, area, gravity, seed, ordered.duration, airborne};
+  return planner.assemble(planner.position(nominal), planner.yaw([&](double t) { return ordered.motion.at(t).w(); }),
+                          options.wind_speed);
+}
+
+Trajectory plan_survey(const FlightOptions& options, const FlightArea& area, double gravity, uint64_t seed) {
+  std::vector<Leg> legs = lay_lanes(options, area, options.length_m, seed);
+  Eigen::Vector2d start_en = legs.front().from;  // foot of the take-off
+  const double survey_height = area.ground_height + options.height_m;
+  double ground = 0, climb_begin = 0, survey_begin = 0;  // m in G, of the body; s
+  if (options.take_off) {
+    start_en = landing_place(area, legs.front().from);
+    legs.front().from = start_en;
+    legs.front().length = (legs.front().to - legs.front().from).norm();
+    for (size_t i = 1; i < legs.size(); ++i) legs[i].start = legs[i - 1].start + legs[i - 1].length;
+    ground = area.surface(start_en) + kBodyAboveGround;
+    climb_begin = options.standstill_s;
+    survey_begin = climb_begin + (survey_height - ground) / options.climb_speed + 2.0;
   }
-  return best;
+  const auto airborne = [&](double t) {
+    return options.take_off ? std::clamp((t - climb_begin - 0.5) / 2.0, 0.0, 1.0) : 1.0;
+  };
+  const Planner planner{options, area, gravity, seed, survey_begin + options.duration_s, airborne};
+
+  // Gusts lengthen the path and corners shorten it: correct the nominal length until the flown one is right. The
+  // part before the survey does not count.
+  double nominal = options.length_m;
+  std::vector<double> motion = nominal_motion(options, legs, nominal);
+  const auto nominal_position = [&](double t) {
+    const Eigen::Vector2d en =
+        options.take_off && t < survey_begin ? start_en : point_at(legs, at_time(motion, t - survey_begin));
+    double up = survey_height;
+    if (options.take_off) up = std::min(up, ground + options.climb_speed * std::max(0.0, t - climb_begin));
+    return Eigen::Vector3d(en.x(), en.y(), up);
+  };
+  UniformSpline<3> path = planner.position(nominal_position);
+  const auto survey_length = [&](const UniformSpline<3>& p) {
+    double length = 0;
+    const auto steps = static_cast<int>(options.duration_s / 0.1);
+    const double step = options.duration_s / steps;
+    for (int i = 0; i < steps; ++i) length += step * p.evaluate(survey_begin + (i + 0.5) * step, 1).norm();
+    return length;
+  };
+  for (int i = 0; i < 8; ++i) {
+    const double flown = survey_length(path);
+    if (std::abs(flown / options.length_m - 1) < 1e-4) break;
+    nominal *= options.length_m / flown;
+    motion = nominal_motion(options, legs, nominal);
+    path = planner.position(nominal_position);
+  }
+
+  double heading = legs.front().yaw;
+  const UniformSpline<1> nose = planner.yaw([&](double t) {
+    const double most = options.yaw_rate_deg * kDegree * kYawStep;
+    const double wanted = legs[leg_at(legs, at_time(motion, t - survey_begin))].yaw;
+    return heading += std::clamp(wrap_angle(wanted - heading), -most, most);
+  });
+  const double wanted_tilt = options.mean_tilt_deg * kDegree;
+  if (planner.assemble(path, nose, 0).mean_tilt() > wanted_tilt) {
+    throw std::invalid_argument("flight: the manoeuvres alone tilt the aircraft more than mean_tilt_deg");
+  }
+  double low = 0, high = 60;  // m/s
+  for (int i = 0; i < 14; ++i) {
+    const double middle = 0.5 * (low + high);
+    (planner.assemble(path, nose, middle).mean_tilt() < wanted_tilt ? low : high) = middle;
+  }
+  return planner.assemble(path, nose, 0.5 * (low + high));
+}
+
+// Each phase goes on as the one before it, but for what it says.
+std::vector<Phase> read_phases(ConfigNode&& node, double height_m) {
+  std::vector<std::string> names;
+  node.read("names", names);
+  std::vector<Phase> phases;
+  Phase phase;
+  phase.height_m = height_m;
+  for (const std::string& name : names) {
+    ConfigNode entry = node.child(name);
+    phase.name = name;
+    entry.read("seconds", phase.seconds, 0.1, 36000.0);
+    entry.read("speed", phase.speed, 0.0, 60.0);
+    entry.read("height_m", phase.height_m, 0.0, 5000.0);
+    entry.read("climb_speed", phase.climb_speed, 0.1, 20.0);
+    entry.read("bank_deg", phase.bank_deg, 1.0, 60.0);
+    entry.read("circle", phase.circle);
+    entry.read("spin_deg", phase.spin_deg, -180.0, 180.0);
+    entry.finish();
+    phases.push_back(phase);
+  }
+  node.finish();
+  return phases;
 }
 
 }  // namespace
@@ -293,55 +369,26 @@ FlightOptions FlightOptions::from_config(ConfigNode& node) {
   node.read("yaw_rate_deg", o.yaw_rate_deg, 0.1, 180.0);
   node.read("yaw_wander_deg", o.yaw_wander_deg, 0.0, 90.0);
   node.read("attitude_jitter_deg", o.attitude_jitter_deg, 0.0, 20.0);
+  node.read("wind_speed", o.wind_speed, 0.0, 30.0);
+  o.phases = read_phases(node.child_or_empty("phases"), o.height_m);
   node.finish();
   return o;
 }
 
+Eigen::Vector2d landing_place(const FlightArea& area, const Eigen::Vector2d& near) {
+  Eigen::Vector2d best = near;
+  for (int north = -15; north <= 15; ++north) {
+    for (int east = -15; east <= 15; ++east) {
+      const Eigen::Vector2d candidate = near + Eigen::Vector2d(east, north);
+      if (area.surface(candidate) < area.surface(best)) best = candidate;
+    }
+  }
+  return best;
+}
+
 Trajectory plan_flight(const FlightOptions& options, const FlightArea& area, double gravity, uint64_t seed) {
-  Planner planner{options, area, gravity, seed, {}, 0, 0, 0, area.ground_height + options.height_m};
-  std::vector<Leg> legs = lay_lanes(options, area, options.length_m, seed);
-  planner.start_en = legs.front().from;
-  if (options.take_off) {
-    planner.start_en = take_off_place(area, legs.front().from);
-    legs.front().from = planner.start_en;
-    legs.front().length = (legs.front().to - legs.front().from).norm();
-    for (size_t i = 1; i < legs.size(); ++i) legs[i].start = legs[i - 1].start + legs[i - 1].length;
-    planner.ground = area.surface(planner.start_en) + kBodyAboveGround;
-    planner.climb_begin = options.standstill_s;
-    planner.survey_begin = planner.climb_begin + (planner.survey_height - planner.ground) / options.climb_speed + 2.0;
-  }
-
-  // Gusts lengthen the path and corners shorten it: correct the nominal length until the flown one is right. The
-  // part before the survey does not count.
-  double nominal = options.length_m;
-  std::vector<double> motion = nominal_motion(options, legs, nominal);
-  UniformSpline<3> path = planner.position(legs, motion);
-  const auto survey_length = [&](const UniformSpline<3>& p) {
-    double length = 0;
-    const auto steps = static_cast<int>(options.duration_s / 0.1);
-    const double step = options.duration_s / steps;
-    for (int i = 0; i < steps; ++i) length += step * p.evaluate(planner.survey_begin + (i + 0.5) * step, 1).norm();
-    return length;
-  };
-  for (int i = 0; i < 8; ++i) {
-    const double flown = survey_length(path);
-    if (std::abs(flown / options.length_m - 1) < 1e-4) break;
-    nominal *= options.length_m / flown;
-    motion = nominal_motion(options, legs, nominal);
-    path = planner.position(legs, motion);
-  }
-
-  const UniformSpline<1> nose = planner.yaw(legs, motion);
-  const double wanted_tilt = options.mean_tilt_deg * kDegree;
-  if (planner.assemble(path, nose, 0).mean_tilt() > wanted_tilt) {
-    throw std::invalid_argument("flight: the manoeuvres alone tilt the aircraft more than mean_tilt_deg");
-  }
-  double low = 0, high = 60;  // m/s
-  for (int i = 0; i < 14; ++i) {
-    const double middle = 0.5 * (low + high);
-    (planner.assemble(path, nose, middle).mean_tilt() < wanted_tilt ? low : high) = middle;
-  }
-  return planner.assemble(path, nose, 0.5 * (low + high));
+  return options.phases.empty() ? plan_survey(options, area, gravity, seed)
+                                : plan_ordered_flight(options, area, gravity, seed);
 }
 
 }  // namespace orthonav::simulate

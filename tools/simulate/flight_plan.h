@@ -1,12 +1,15 @@
-// Plans a survey flight of a multirotor over a rectangle: lanes with turns, changes of speed and height, gusts.
+// Plans a flight over a rectangle: the survey of a multirotor in lanes with turns, changes of speed and height, gusts;
+// or phases that are flown as ordered (flight_phases.h).
 //
 // The path is laid along a polyline flown at bounded acceleration, and its samples, plus what the gusts do to it, are
-// the control points of a spline. Length, duration and mean tilt of the flight are met exactly: the polyline is cut,
+// the control points of a spline. Length, duration and mean tilt of a survey are met exactly: the polyline is cut,
 // the legs' speed and the wind are scaled until they are.
 #pragma once
 
 #include <cstdint>
 #include <functional>
+#include <string>
+#include <vector>
 
 #include <Eigen/Core>
 
@@ -17,6 +20,18 @@ class ConfigNode;
 }
 
 namespace orthonav::simulate {
+
+// A stretch of a flight by orders.
+struct Phase {
+  std::string name;
+  double seconds = 60.0;     // s
+  double speed = 2.6;        // m/s over the ground; 0: hover
+  double height_m = 110.0;   // m above the mean ground; 0: on the ground, landing where it is lowest nearby
+  double climb_speed = 3.0;  // m/s, up or down to that height
+  double bank_deg = 15.0;    // degrees, of turns
+  bool circle = false;       // turns all the time, instead of flying lanes
+  double spin_deg = 0.0;     // degrees/s, of the nose, counter-clockwise; 0: it points along the course
+};
 
 struct FlightOptions {
   double duration_s = 448.2;         // s, of the survey, without take-off
@@ -42,6 +57,8 @@ struct FlightOptions {
   double yaw_rate_deg = 20.0;        // degrees/s, fastest turn of the nose
   double yaw_wander_deg = 1.5;       // degrees, 1 sigma, of the heading hold
   double attitude_jitter_deg = 0.2;  // degrees per axis, 1 sigma, of the attitude control around 1 Hz
+  double wind_speed = 5.0;           // m/s, mean, of a flight by phases
+  std::vector<Phase> phases;         // flown instead of the survey; empty: the survey
 
   static FlightOptions from_config(ConfigNode& node);
 };
@@ -53,8 +70,11 @@ struct FlightArea {
   std::function<double(const Eigen::Vector2d& p_en)> surface;  // height at a point, for take-off
 };
 
-// Throws std::invalid_argument when the area is too small for the margin, or when the options cannot be met (an
-// acceleration that already tilts the aircraft further than the mean tilt asked for).
+// The lowest surface within 15 m of a place: aircraft neither start from roofs and treetops nor land on them.
+Eigen::Vector2d landing_place(const FlightArea& area, const Eigen::Vector2d& near);
+
+// Throws std::invalid_argument when the area is too small for the margin or for a phase's turns, or when the options
+// cannot be met (an acceleration that already tilts the aircraft further than the mean tilt asked for).
 Trajectory plan_flight(const FlightOptions& options, const FlightArea& area, double gravity, uint64_t seed);
 
 }  // namespace orthonav::simulate

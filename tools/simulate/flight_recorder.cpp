@@ -78,9 +78,22 @@ class EventQueue {
   size_t next_ = 0;
 };
 
-CameraPose camera_pose(const Trajectory& trajectory, const Extrinsics& extrinsics, double t) {
-  const MotionState state = trajectory.at(t);
-  return {state.p_G_B + state.R_G_B * extrinsics.p_B_C, state.R_G_B * extrinsics.R_B_C};
+// The camera over an image whose middle row is exposed around t. Rows follow one another at `readout`, s for all.
+Exposure expose_at(const Trajectory& trajectory, const Extrinsics& extrinsics, double t, double exposure,
+                   double readout, int height) {
+  const auto pose = [&](double at) -> CameraPose {
+    const MotionState state = trajectory.at(at);
+    return {state.p_G_B + state.R_G_B * extrinsics.p_B_C, state.R_G_B * extrinsics.R_B_C};
+  };
+  Exposure poses;
+  const int rows = readout != 0 ? height : 1;
+  for (int row = 0; row < rows; ++row) {
+    const double middle = rows > 1 ? t + readout * (row / (rows - 1.0) - 0.5) : t;
+    poses.begin.push_back(pose(middle - 0.5 * exposure));
+    poses.middle.push_back(pose(middle));
+    poses.end.push_back(pose(middle + 0.5 * exposure));
+  }
+  return poses;
 }
 
 struct Shot {
@@ -110,17 +123,17 @@ RecordingSummary record_flight(const Scenario& scenario, const World& world, uin
 
   const RayCaster caster(field, scenario.camera);
   const CameraEffects effects(scenario.camera_effects, scenario.camera, seed);
+  const size_t exposures = record.frames.empty() ? 0 : record.frames.back().index + 1;
   const std::vector<double> gains =
-      effects.gains(record.frames.size(), 1.0 / scenario.sensors.camera.rate_hz, field.mean_luminance());
-  const double half_exposure = 0.5e-3 * scenario.camera_effects.exposure_ms;
+      effects.gains(exposures, 1.0 / scenario.sensors.camera.rate_hz, field.mean_luminance());
   RecordingSummary summary;
   const auto shoot = [&](size_t i) {
-    const double t = record.frames[i].t;
-    const CameraPose pose = camera_pose(trajectory, scenario.extrinsics, t);
-    const View view = caster.render(pose);
-    const cv::Mat image =
-        effects.expose(view, caster, camera_pose(trajectory, scenario.extrinsics, t - half_exposure), pose,
-                       camera_pose(trajectory, scenario.extrinsics, t + half_exposure), gains[i], i);
+    const FrameTime& frame = record.frames[i];
+    const Exposure exposure =
+        expose_at(trajectory, scenario.extrinsics, frame.t, 1e-3 * scenario.camera_effects.exposure_ms,
+                  1e-3 * scenario.camera_effects.readout_ms, scenario.camera.height());
+    const View view = caster.render(exposure.middle);
+    const cv::Mat image = effects.expose(view, caster, exposure, gains[frame.index], frame.index);
     return Shot{effects.encode(image), view.outside};
   };
   const auto write = [&](size_t i, Shot&& shot) {

@@ -101,12 +101,18 @@ float intersect(const HeightField::Level& level, const Sampler<float, kInside>& 
 }  // namespace
 
 struct RayCaster::Frame {
-  Eigen::Vector3f p;  // camera in G, z only for heights
-  Eigen::Matrix3f R;
+  // The camera when a row was read.
+  struct Row {
+    float z = 0;  // m in G
+    Eigen::Matrix3f R;
+    Eigen::Vector2f foot;  // pixel of `level` below the camera
+  };
+  std::vector<Row> rows;  // one for each, or one for all
+  const Row& row(int v) const { return rows[rows.size() > 1 ? static_cast<size_t>(v) : 0]; }
+
   const HeightField::Level* level = nullptr;   // its pixels are at most as large as the camera's on the ground
   const HeightField::Level* coarse = nullptr;  // the next one
   float blend = 0;                             // weight of the coarse level's luminance
-  Eigen::Vector2f foot;                        // pixel of `level` below the camera
   float pixels_per_metre = 0;                  // of `level`
 };
 
@@ -127,7 +133,11 @@ Eigen::Vector3d RayCaster::ray(int u, int v) const {
   return {ray.x(), ray.y(), 1.0};
 }
 
-View RayCaster::render(const CameraPose& pose) const {
+View RayCaster::render(const std::vector<CameraPose>& rows) const {
+  if (rows.size() != 1 && rows.size() != static_cast<size_t>(height_)) {
+    throw std::invalid_argument("RayCaster: a rolling shutter needs a pose for each row");
+  }
+  const CameraPose& pose = rows[rows.size() / 2];
   View view;
   view.luminance.create(height_, width_, CV_32F);
   view.node_depth.create((height_ + kTile - 1) / kTile, (width_ + kTile - 1) / kTile, CV_32F);
@@ -142,12 +152,13 @@ View RayCaster::render(const CameraPose& pose) const {
   const auto fine = static_cast<size_t>(exact_level);
 
   Frame frame;
-  frame.p = pose.p_G_C.cast<float>();
-  frame.R = pose.R_G_C.cast<float>();
   frame.level = &levels[fine];
   frame.coarse = &levels[std::min(fine + 1, levels.size() - 1)];
   frame.blend = static_cast<float>(exact_level - static_cast<double>(fine));
-  frame.foot = field_.to_pixel(pose.p_G_C.head<2>(), *frame.level).cast<float>();
+  for (const CameraPose& row : rows) {
+    frame.rows.push_back({static_cast<float>(row.p_G_C.z()), row.R_G_C.cast<float>(),
+                          field_.to_pixel(row.p_G_C.head<2>(), *frame.level).cast<float>()});
+  }
   frame.pixels_per_metre = static_cast<float>(1.0 / frame.level->resolution);
 
   int64_t outside = 0;
@@ -165,10 +176,17 @@ void RayCaster::render_tile(const Frame& frame, const cv::Rect& tile, View& view
   Slopes slopes;
   Eigen::Vector2f slope_min = Eigen::Vector2f::Constant(kSteepestRay * frame.pixels_per_metre);
   Eigen::Vector2f slope_max = -slope_min;
+  float z_min = frame.row(tile.y).z, z_max = z_min;
+  Eigen::Vector2f foot_min = frame.row(tile.y).foot, foot_max = foot_min;
   for (int y = 0; y < tile.height; ++y) {
     const Eigen::Vector2f* ray = &rays_[static_cast<size_t>(tile.y + y) * width_ + tile.x];
+    const Frame::Row& row = frame.row(tile.y + y);
+    z_min = std::min(z_min, row.z);
+    z_max = std::max(z_max, row.z);
+    foot_min = foot_min.cwiseMin(row.foot);
+    foot_max = foot_max.cwiseMax(row.foot);
     for (int x = 0; x < tile.width; ++x) {
-      const Eigen::Vector3f d = frame.R.col(0) * ray[x].x() + frame.R.col(1) * ray[x].y() + frame.R.col(2);
+      const Eigen::Vector3f d = row.R.col(0) * ray[x].x() + row.R.col(1) * ray[x].y() + row.R.col(2);
       Eigen::Vector2f& slope = slopes[y * kTile + x];
       if (!(d.z() < 0) || d.head<2>().squaredNorm() > kSteepestRay * kSteepestRay * d.z() * d.z()) {
         slope.setConstant(std::numeric_limits<float>::quiet_NaN());
@@ -183,9 +201,9 @@ void RayCaster::render_tile(const Frame& frame, const cv::Rect& tile, View& view
   // The range of heights that the tile can meet, narrowed by the ground it covers at the range known so far.
   HeightField::Range range = field_.range();
   for (int pass = 0; pass < 3; ++pass) {
-    const float near = std::max(0.0F, frame.p.z() - range.high), far = std::max(near, frame.p.z() - range.low);
-    const Eigen::Vector2f low = frame.foot + (slope_min * near).cwiseMin(slope_min * far);
-    const Eigen::Vector2f high = frame.foot + (slope_max * near).cwiseMax(slope_max * far);
+    const float near = std::max(0.0F, z_min - range.high), far = std::max(near, z_max - range.low);
+    const Eigen::Vector2f low = foot_min + (slope_min * near).cwiseMin(slope_min * far);
+    const Eigen::Vector2f high = foot_max + (slope_max * near).cwiseMax(slope_max * far);
     const int u0 = static_cast<int>(std::floor(low.x())) >> HeightField::kCellBits;
     const int v0 = static_cast<int>(std::floor(low.y())) >> HeightField::kCellBits;
     const int u1 = static_cast<int>(std::floor(high.x())) >> HeightField::kCellBits;
@@ -203,10 +221,10 @@ void RayCaster::render_tile(const Frame& frame, const cv::Rect& tile, View& view
     range = seen;
     if (gain < 0.5F) break;
   }
-  const float begin = std::max(0.0F, frame.p.z() - range.high - 1e-3F);
-  const float end = std::max(begin, frame.p.z() - range.low + 1e-3F);
-  const Eigen::Vector2f low = frame.foot + (slope_min * begin).cwiseMin(slope_min * end);
-  const Eigen::Vector2f high = frame.foot + (slope_max * begin).cwiseMax(slope_max * end);
+  const float begin = std::max(0.0F, z_min - range.high - 1e-3F);
+  const float end = std::max(begin, z_max - range.low + 1e-3F);
+  const Eigen::Vector2f low = foot_min + (slope_min * begin).cwiseMin(slope_min * end);
+  const Eigen::Vector2f high = foot_max + (slope_max * begin).cwiseMax(slope_max * end);
   // The coarser level's neighbours are inside too.
   const bool inside = low.minCoeff() >= 1.0F && high.x() < static_cast<float>(level.height.cols) - 4.0F &&
                       high.y() < static_cast<float>(level.height.rows) - 4.0F;
@@ -228,6 +246,7 @@ void RayCaster::shade_tile(const Frame& frame, const cv::Rect& tile, const Slope
   const auto ratio = static_cast<float>(level.resolution / coarse.resolution);
   for (int y = 0; y < tile.height; ++y) {
     float* out = view.luminance.ptr<float>(tile.y + y) + tile.x;
+    const Frame::Row& row = frame.row(tile.y + y);
     for (int x = 0; x < tile.width; ++x) {
       const Eigen::Vector2f& slope = slopes[y * kTile + x];
       float depth = std::numeric_limits<float>::quiet_NaN();
@@ -235,8 +254,8 @@ void RayCaster::shade_tile(const Frame& frame, const cv::Rect& tile, const Slope
         out[x] = kSkyLuminance;
         ++outside;
       } else {
-        const LevelRay ray{frame.foot.x(), frame.foot.y(), slope.x(), slope.y()};
-        depth = intersect(level, heights, ray, frame.p.z(), begin, end);
+        const LevelRay ray{row.foot.x(), row.foot.y(), slope.x(), slope.y()};
+        depth = intersect(level, heights, ray, row.z, begin, end);
         const float u = ray.u0 + ray.su * depth, v = ray.v0 + ray.sv * depth;
         if (!kInside && (u < -0.5F || v < -0.5F || u > static_cast<float>(level.height.cols) - 0.5F ||
                          v > static_cast<float>(level.height.rows) - 0.5F)) {

@@ -38,7 +38,11 @@ class RayCaster {
   // Throws std::invalid_argument when a pixel of the camera has no ray.
   RayCaster(const HeightField& field, const CameraModel& camera);
 
-  View render(const CameraPose& pose) const;
+  View render(const CameraPose& pose) const { return render(std::vector<CameraPose>{pose}); }
+
+  // As a rolling shutter sees it: one pose for each row of the image. Throws std::invalid_argument for another number
+  // of poses, but one is for all rows.
+  View render(const std::vector<CameraPose>& rows) const;
 
   // Bearing in C, z = 1, of a pixel.
   Eigen::Vector3d ray(int u, int v) const;

@@ -1,6 +1,7 @@
 #include "tools/simulate/sensors.h"
 
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <limits>
 #include <numbers>
@@ -31,7 +32,52 @@ Eigen::Vector3d gaussian3(RandomStream& stream) {
   return {x, y, z};
 }
 
-// A three-axis MEMS sensor: measurement = truth + bias + white noise, the bias a random walk from its turn-on value.
+// Tones within a band, the same power in each.
+class Vibration {
+ public:
+  Vibration(uint64_t seed, const std::string& name, double rms, double low_hz, double high_hz)
+      : amplitude_(rms * std::sqrt(2.0 / kTones)) {
+    RandomStream stream(seed, name);
+    for (auto& axis : tones_) {
+      for (Tone& tone : axis) {
+        tone.rate = 2 * std::numbers::pi * stream.uniform(low_hz, high_hz);
+        tone.phase = stream.uniform(0, 2 * std::numbers::pi);
+      }
+    }
+  }
+
+  Eigen::Vector3d at(double t) const {
+    Eigen::Vector3d value = Eigen::Vector3d::Zero();
+    if (amplitude_ == 0) return value;
+    for (int axis = 0; axis < 3; ++axis) {
+      for (const Tone& tone : tones_[axis]) value[axis] += amplitude_ * std::sin(tone.rate * t + tone.phase);
+    }
+    return value;
+  }
+
+ private:
+  static constexpr int kTones = 16;  // an axis
+  struct Tone {
+    double rate = 0, phase = 0;  // rad/s, rad
+  };
+  double amplitude_;
+  std::array<std::array<Tone, kTones>, 3> tones_;
+};
+
+// Error of a three-axis sensor's gains: scale factors on the diagonal, axes that lean to the others beside it.
+Eigen::Matrix3d gain_error(uint64_t seed, const std::string& name, double scale, double misalignment) {
+  RandomStream scales(seed, name + ".scale"), leans(seed, name + ".misalignment");
+  Eigen::Matrix3d error;
+  for (int row = 0; row < 3; ++row) {
+    for (int column = 0; column < 3; ++column) {
+      error(row, column) = row == column ? scale * scales.gaussian() : misalignment * leans.gaussian();
+    }
+  }
+  return error;
+}
+
+// A three-axis MEMS sensor: measurement = truth and what falsifies it + bias + white noise, the bias a random walk from
+// its turn-on value.
 class InertialChannel {
  public:
   InertialChannel(uint64_t seed, const std::string& name, double rate_hz, double noise, double walk, double turn_on)
@@ -44,8 +90,8 @@ class InertialChannel {
   }
 
   const Eigen::Vector3d& bias() const { return bias_; }
-  Eigen::Vector3d measure(const Eigen::Vector3d& truth) {
-    Eigen::Vector3d value = truth + bias_ + white_stddev_ * gaussian3(white_);
+  Eigen::Vector3d measure(const Eigen::Vector3d& felt) {
+    Eigen::Vector3d value = felt + bias_ + white_stddev_ * gaussian3(white_);
     bias_ += walk_stddev_ * gaussian3(walk_);
     return value;
   }
@@ -66,14 +112,23 @@ std::vector<Biases> simulate_imu(const Trajectory& trajectory, double seconds, d
                                  std::vector<imu_t>& out) {
   InertialChannel gyro(seed, "imu.gyro", rate_hz, o.gyro_noise, o.gyro_walk, o.gyro_turn_on);
   InertialChannel accel(seed, "imu.accel", rate_hz, o.accel_noise, o.accel_walk, o.accel_turn_on);
+  const Eigen::Matrix3d gyro_gains = gain_error(seed, "imu.gyro", o.gyro_scale, o.gyro_misalignment_deg * kDegree);
+  const Eigen::Matrix3d accel_gains = gain_error(seed, "imu.accel", o.accel_scale, o.accel_misalignment_deg * kDegree);
+  const Eigen::Matrix3d g_sensitivity =
+      gain_error(seed, "imu.g_sensitivity", o.gyro_g_sensitivity, o.gyro_g_sensitivity);
+  const Vibration gyro_shake(seed, "imu.gyro.vibration", o.gyro_vibration, o.vibration_low_hz, o.vibration_high_hz);
+  const Vibration accel_shake(seed, "imu.accel.vibration", o.accel_vibration, o.vibration_low_hz, o.vibration_high_hz);
   std::vector<Biases> biases;
   for (const int64_t utime : stamps(rate_hz, 0.0, seconds)) {
-    const MotionState state = trajectory.at(static_cast<double>(utime) * 1e-6);
+    const double t = static_cast<double>(utime) * 1e-6;
+    const MotionState state = trajectory.at(t);
+    const Eigen::Vector3d force = state.specific_force + accel_shake.at(t);
+    const Eigen::Vector3d rate = state.angular_rate + gyro_shake.at(t);
     biases.push_back({start_utime + utime, gyro.bias(), accel.bias()});
     imu_t message;
     message.utime = start_utime + utime;
-    Eigen::Map<Eigen::Vector3d>(message.angular_rate) = gyro.measure(state.angular_rate);
-    Eigen::Map<Eigen::Vector3d>(message.specific_force) = accel.measure(state.specific_force);
+    Eigen::Map<Eigen::Vector3d>(message.angular_rate) = gyro.measure(rate + gyro_gains * rate + g_sensitivity * force);
+    Eigen::Map<Eigen::Vector3d>(message.specific_force) = accel.measure(force + accel_gains * force);
     message.temperature_deg_c = std::numeric_limits<float>::quiet_NaN();
     out.push_back(message);
   }
@@ -82,13 +137,18 @@ std::vector<Biases> simulate_imu(const Trajectory& trajectory, double seconds, d
 
 std::vector<FrameTime> simulate_frame_times(double seconds, const SensorOptions::Camera& o, int64_t start_utime,
                                             uint64_t seed) {
-  RandomStream jitter(seed, "camera.time");
+  RandomStream jitter(seed, "camera.time"), lost(seed, "camera.lost");
   std::vector<FrameTime> frames;
+  size_t index = 0;
   // Half a period late, so that neither end of an exposure lies outside the flight.
   for (const int64_t utime : stamps(o.rate_hz, 0.5, seconds - 0.5 / o.rate_hz)) {
     FrameTime frame;
     frame.t = static_cast<double>(utime) * 1e-6;
-    frame.utime = start_utime + utime + std::llround(1e3 * (o.time_offset_ms + o.time_jitter_ms * jitter.gaussian()));
+    frame.index = index++;
+    const double late_ms =
+        o.time_offset_ms + o.time_drift_ms_min * frame.t / 60.0 + o.time_jitter_ms * jitter.gaussian();
+    frame.utime = start_utime + utime + std::llround(1e3 * late_ms);
+    if (lost.uniform(0, 1) < o.dropped) continue;
     if (!frames.empty() && frame.utime <= frames.back().utime) {
       throw std::invalid_argument("sensors.camera: time_jitter_ms puts frames out of order");
     }
@@ -166,15 +226,28 @@ SensorOptions SensorOptions::from_config(ConfigNode& node) {
   imu.read("accel_noise", o.imu.accel_noise, 0.0, 10.0);
   imu.read("accel_walk", o.imu.accel_walk, 0.0, 10.0);
   imu.read("accel_turn_on", o.imu.accel_turn_on, 0.0, 10.0);
+  imu.read("gyro_scale", o.imu.gyro_scale, 0.0, 0.5);
+  imu.read("accel_scale", o.imu.accel_scale, 0.0, 0.5);
+  imu.read("gyro_misalignment_deg", o.imu.gyro_misalignment_deg, 0.0, 20.0);
+  imu.read("accel_misalignment_deg", o.imu.accel_misalignment_deg, 0.0, 20.0);
+  imu.read("gyro_g_sensitivity", o.imu.gyro_g_sensitivity, 0.0, 1.0);
+  imu.read("gyro_vibration", o.imu.gyro_vibration, 0.0, 10.0);
+  imu.read("accel_vibration", o.imu.accel_vibration, 0.0, 100.0);
+  imu.read("vibration_low_hz", o.imu.vibration_low_hz, 0.1, 1000.0);
+  imu.read("vibration_high_hz", o.imu.vibration_high_hz, o.imu.vibration_low_hz, 1000.0);
   imu.finish();
   ConfigNode camera = node.child_or_empty("camera");
   camera.read("rate_hz", o.camera.rate_hz, 0.1, 200.0);
   camera.read("time_offset_ms", o.camera.time_offset_ms, -1000.0, 1000.0);
   camera.read("time_jitter_ms", o.camera.time_jitter_ms, 0.0, 100.0);
+  camera.read("time_drift_ms_min", o.camera.time_drift_ms_min, -100.0, 100.0);
+  camera.read("dropped", o.camera.dropped, 0.0, 1.0);
   camera.finish();
   ConfigNode compass = node.child_or_empty("compass");
+  compass.read("enabled", o.compass.enabled);
   compass.read("rate_hz", o.compass.rate_hz, 0.1, 1000.0);
   compass.read("bias_deg", o.compass.bias_deg, 0.0, 90.0);
+  compass.read("offset_deg", o.compass.offset_deg, -180.0, 180.0);
   compass.read("noise_deg", o.compass.noise_deg, 0.0, 90.0);
   compass.finish();
   ConfigNode altitude = node.child_or_empty("altitude");
@@ -203,8 +276,10 @@ SensorRecord simulate_sensors(const Trajectory& trajectory, double seconds, doub
   record.frames = simulate_frame_times(seconds, options.camera, around.start_utime, seed);
 
   RandomStream compass_bias_stream(seed, "compass.bias"), compass_noise(seed, "compass.noise");
-  const double compass_bias = options.compass.bias_deg * kDegree * compass_bias_stream.gaussian();
+  const double compass_bias =
+      options.compass.bias_deg * kDegree * compass_bias_stream.gaussian() + options.compass.offset_deg * kDegree;
   for (const int64_t utime : stamps(options.compass.rate_hz, 0.25, seconds)) {
+    if (!options.compass.enabled) break;
     const MotionState state = trajectory.at(static_cast<double>(utime) * 1e-6);
     const double magnetic = body_heading(state, around) - around.magnetic_declination;
     const double noise = options.compass.noise_deg * kDegree * compass_noise.gaussian();

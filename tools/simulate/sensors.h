@@ -30,16 +30,29 @@ struct SensorOptions {
     double accel_noise = 2.0e-3;  // m/s^2/sqrt(Hz), white
     double accel_walk = 3.0e-3;   // m/s^3/sqrt(Hz), random walk of the bias
     double accel_turn_on = 0.05;  // m/s^2, 1 sigma per axis of the bias at the start
+    double gyro_scale = 0.0;      // 1 sigma per axis of the scale factor's error, drawn per flight
+    double accel_scale = 0.0;
+    double gyro_misalignment_deg = 0.0;  // degrees, 1 sigma, by which an axis leans to each of the others
+    double accel_misalignment_deg = 0.0;
+    double gyro_g_sensitivity = 0.0;  // rad/s per m/s^2, 1 sigma per pair of axes, of what the gyroscope feels of force
+    double gyro_vibration = 0.0;   // rad/s per axis, root mean square, of the part on its mount: no other sensor moves
+    double accel_vibration = 0.0;  // m/s^2, likewise
+    double vibration_low_hz = 20.0;  // Hz, band of the vibration
+    double vibration_high_hz = 100.0;
   } imu;
   struct Camera {
-    double rate_hz = 10.0;        // Hz
-    double time_offset_ms = 0.0;  // ms, stamp minus true middle of the exposure, constant
-    double time_jitter_ms = 0.2;  // ms, 1 sigma, of the stamp
+    double rate_hz = 10.0;           // Hz
+    double time_offset_ms = 0.0;     // ms, stamp minus true middle of the exposure, constant
+    double time_jitter_ms = 0.2;     // ms, 1 sigma, of the stamp
+    double time_drift_ms_min = 0.0;  // ms per minute, by which the stamps gain on the true time
+    double dropped = 0.0;            // part of the images that is lost, one by one
   } camera;
   struct Compass {
-    double rate_hz = 10.0;   // Hz
-    double bias_deg = 3.0;   // degrees, 1 sigma, of the heading bias drawn per flight
-    double noise_deg = 1.0;  // degrees, 1 sigma, white
+    bool enabled = true;
+    double rate_hz = 10.0;    // Hz
+    double bias_deg = 3.0;    // degrees, 1 sigma, of the heading bias drawn per flight
+    double offset_deg = 0.0;  // degrees, of every heading, of which the stated deviation knows nothing
+    double noise_deg = 1.0;   // degrees, 1 sigma, white
   } compass;
   struct Altitude {
     bool enabled = false;
@@ -72,6 +85,7 @@ struct SensorSurroundings {
 struct FrameTime {
   double t = 0;       // s, true middle of the exposure
   int64_t utime = 0;  // the stamp
+  size_t index = 0;   // of the exposure, those counted that were lost
 };
 
 struct SensorRecord {

@@ -25,12 +25,14 @@ Epoch camera_epoch(const WorldOptions& options, uint64_t seed) {
   Random random(epoch.epoch_seed);
   epoch.day = random.uniform(options.day_min, options.day_max);
   epoch.hour = random.uniform(options.hour_min, options.hour_max);
+  epoch.snow = options.snow;
   return Epoch(epoch);
 }
 
 Epoch map_epoch(const WorldOptions& options, const Epoch& camera, const std::string& difference) {
   EpochOptions epoch = camera.options();
   epoch.base = false;
+  epoch.snow = 0;
   epoch.change = options.difference.change;
   epoch.epoch_seed = mix(mix(epoch.seed, "map"), difference);
   Random random(epoch.epoch_seed);

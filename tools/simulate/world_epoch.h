@@ -62,6 +62,7 @@ struct EpochOptions {
   uint64_t epoch_seed = 0;  // of this epoch
   Difference change;        // against the base state; all zero in the camera's epoch
   bool base = true;         // the camera's epoch, which is the base state
+  double snow = 0;          // part of everything's own colour and pattern that snow hides
 };
 
 class Epoch {

@@ -77,17 +77,19 @@ struct Paint {
   float wheel_x, wheel_y, wheel_phase, wheel_width;
 };
 
-Paint prepare(const Material& m) {
+Paint prepare(const Material& m, float snow) {
+  static const cv::Vec3f kSnow(235, 232, 230);
+  const float bare = 1 - snow;
   Paint p{};
-  p.middle = 0.5F * (m.low + m.high);
-  p.half = 0.5F * (m.high - m.low);
+  p.middle = 0.5F * bare * (m.low + m.high) + snow * kSnow;
+  p.half = 0.5F * bare * (m.high - m.low);
   // The patterns have unit variance: the colours `low` and `high` are one and a half deviations out.
   p.soil = 4.0F * m.soil;
   p.vegetation = 4.0F * m.vegetation;
-  p.grain = m.grain / 32.0F;
-  p.clumps = m.clumps / 32.0F;
-  p.rows = 2.0F * m.rows;
-  p.wheels = m.wheels;
+  p.grain = bare * m.grain / 32.0F;
+  p.clumps = bare * m.clumps / 32.0F;
+  p.rows = 2.0F * bare * m.rows;
+  p.wheels = bare * m.wheels;
   // Rows run along row_angle: their phase grows across it.
   const float cx = -std::sin(m.row_angle), cy = std::cos(m.row_angle);
   p.row_x = cx / m.row_period;
@@ -155,7 +157,8 @@ cv::Mat render(const Canvas& canvas, const Epoch& epoch, const LightOptions& lig
     image = wide;
   }
   std::vector<Paint> paints;
-  for (const Material& material : canvas.materials) paints.push_back(prepare(material));
+  for (const Material& material : canvas.materials)
+    paints.push_back(prepare(material, static_cast<float>(epoch.options().snow)));
   const Sun& sun = epoch.sun();
   const float sx = static_cast<float>(std::sin(sun.azimuth) * std::cos(sun.elevation)),
               sy = static_cast<float>(std::cos(sun.azimuth) * std::cos(sun.elevation)),

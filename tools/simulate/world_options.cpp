@@ -118,6 +118,7 @@ WorldOptions read_world(ConfigNode& world, const std::string& difference, std::o
   world.read("relief_wavelength", options.relief_wavelength, 50.0, 1e4);
   world.read("day_min", options.day_min, 1.0, 365.0);
   world.read("day_max", options.day_max, options.day_min, 365.0);
+  world.read("snow", options.snow, 0.0, 1.0);
   world.read("hour_min", options.hour_min, 5.0, 19.0);
   world.read("hour_max", options.hour_max, options.hour_min, 19.0);
   for (const double day : {options.day_min, options.day_max})

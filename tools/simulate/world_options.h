@@ -30,6 +30,7 @@ struct WorldOptions {
   double relief_wavelength = 400;        // m
   double day_min = 120, day_max = 240;   // of the year, of the flight
   double hour_min = 9, hour_max = 15.5;  // local solar time of the flight
+  double snow = 0;                       // part of the ground's contrast that snow hides from the camera
   LandOptions land;
   LightOptions light;
   MapOptions map;

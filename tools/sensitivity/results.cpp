@@ -1,0 +1,285 @@
+#include "tools/sensitivity/results.h"
+
+#include <algorithm>
+#include <cmath>
+#include <fstream>
+#include <limits>
+#include <map>
+#include <set>
+#include <stdexcept>
+
+#include <fmt/format.h>
+#include <fmt/ranges.h>
+
+#include "common/math/statistics.h"
+
+namespace orthonav::sensitivity {
+namespace {
+
+using nlohmann::json;
+using nlohmann::ordered_json;
+
+constexpr double kNan = std::numeric_limits<double>::quiet_NaN();
+constexpr double kRightUpTo = 2.0;      // times the nominal RMSE
+constexpr double kHonestNees = 6.0;     // of 3 freedoms
+constexpr size_t kLongestHealth = 110;  // characters of the table's last column
+
+double number(const json& report, const char* pointer) {
+  const json::json_pointer at(pointer);
+  return report.contains(at) && report[at].is_number() ? report[at].get<double>() : kNan;
+}
+
+Verdict judge(const Figures& figures, const Figures& nominal) {
+  if (!(figures.epochs > 0)) return Verdict::kSilent;
+  if (figures.rmse <= kRightUpTo * nominal.rmse) return Verdict::kRight;
+  const bool honest = figures.nees <= kHonestNees && figures.beyond_horizontal + figures.beyond_vertical == 0;
+  return honest ? Verdict::kWide : Verdict::kWrong;
+}
+
+std::string cell(double value, int decimals) {
+  return std::isfinite(value) ? fmt::format("{:.{}f}", value, decimals) : "–";
+}
+
+// Results of one level in one scenario.
+using Group = std::vector<const Result*>;
+
+template <class Get>
+std::vector<double> values(const Group& group, Get get) {
+  std::vector<double> all;
+  for (const Result* result : group) all.push_back(get(result->figures));
+  return all;
+}
+
+// Median and worst; a run without the figure counts as the worst.
+template <class Get>
+std::string median_and_worst(const Group& group, int decimals, Get get) {
+  std::vector<double> all = values(group, get);
+  for (double& value : all) {
+    if (std::isnan(value)) value = std::numeric_limits<double>::infinity();
+  }
+  std::sort(all.begin(), all.end());
+  if (all.size() == 1) return cell(all.front(), decimals);
+  // Not by interpolation: there may be infinite ones.
+  const double middle = 0.5 * (all[(all.size() - 1) / 2] + all[all.size() / 2]);
+  return cell(middle, decimals) + " / " + cell(all.back(), decimals);
+}
+
+template <class Get>
+double sum(const Group& group, Get get) {
+  double total = 0;
+  for (const double value : values(group, get)) total += std::isnan(value) ? 0.0 : value;
+  return total;
+}
+
+// The error furthest from zero, %.
+template <class Get>
+std::string furthest(const Group& group, Get get) {
+  double most = kNan;
+  for (const double value : values(group, get)) {
+    if (!std::isnan(value) && !(std::abs(value) <= std::abs(most))) most = value;
+  }
+  return std::isnan(most) ? "–" : fmt::format("{:+.1f}", 100 * most);
+}
+
+std::string verdicts(const Group& group) {
+  std::vector<const char*> names;
+  for (const Result* result : group) names.push_back(name_of(result->verdict));
+  return fmt::format("{}", fmt::join(names, " "));
+}
+
+std::string words(const Group& group) {
+  std::set<std::string> said;
+  for (const Result* result : group) said.insert(result->health.begin(), result->health.end());
+  std::string text = fmt::format("{}", fmt::join(said, "; "));
+  std::replace(text.begin(), text.end(), '|', '/');
+  if (text.size() > kLongestHealth) text = text.substr(0, kLongestHealth) + "...";
+  return text;
+}
+
+std::vector<Group> grouped(const Table& table, const std::vector<Result>& results) {
+  std::map<std::pair<size_t, std::string>, Group> groups;
+  for (const Result& result : results) groups[{result.run->level, result.run->scenario}].push_back(&result);
+  std::vector<Group> ordered;
+  for (size_t level = 0; level < table.levels.size(); ++level) {
+    for (const std::string& scenario : table.levels[level].scenarios) {
+      const auto group = groups.find({level, scenario});
+      if (group != groups.end()) ordered.push_back(group->second);
+    }
+  }
+  return ordered;
+}
+
+ordered_json run_json(const Table& table, const Result& result) {
+  const Figures& f = result.figures;
+  const Level& level = table.levels[result.run->level];
+  return {{"row", level.row},
+          {"level", level.name},
+          {"scenario", result.run->scenario},
+          {"seed", result.run->seed},
+          {"name", result.run->name},
+          {"verdict", name_of(result.verdict)},
+          {"rmse_m", f.rmse},
+          {"horizontal_m", f.horizontal},
+          {"vertical_m", f.vertical},
+          {"nees", f.nees},
+          {"epochs", f.epochs},
+          {"bounded", f.bounded},
+          {"beyond_horizontal", f.beyond_horizontal},
+          {"beyond_vertical", f.beyond_vertical},
+          {"located_share", f.located_share},
+          {"bounded_share", f.bounded_share},
+          {"fixes", f.fixes},
+          {"false_fixes", f.false_fixes},
+          {"first_position_s", f.first_position},
+          {"scale_error_start", f.scale_start},
+          {"scale_claim_start", f.claim_start},
+          {"scale_error_30s", f.scale_30s},
+          {"scale_claim_30s", f.claim_30s},
+          {"scale_error_end", f.scale_end},
+          {"scale_claim_end", f.claim_end},
+          {"health", result.health}};
+}
+
+}  // namespace
+
+const char* name_of(Verdict verdict) {
+  switch (verdict) {
+    case Verdict::kRight:
+      return "right";
+    case Verdict::kWide:
+      return "wide";
+    case Verdict::kWrong:
+      return "WRONG";
+    case Verdict::kSilent:
+      break;
+  }
+  return "silent";
+}
+
+Figures Figures::of(const json& report) {
+  Figures f;
+  f.rmse = number(report, "/fusion/rmse_m");
+  f.horizontal = number(report, "/fusion/horizontal_rmse_m");
+  f.vertical = number(report, "/fusion/vertical_rmse_m");
+  f.nees = 3 * number(report, "/fusion/nees/position");
+  f.epochs = number(report, "/fusion/protection/epochs");
+  f.bounded = number(report, "/fusion/protection/bounded");
+  f.beyond_horizontal = number(report, "/fusion/protection/misleading_horizontal");
+  f.beyond_vertical = number(report, "/fusion/protection/misleading_vertical");
+  f.located_share = number(report, "/fusion/located_share");
+  f.bounded_share = number(report, "/fusion/protection/bounded_share");
+  f.fixes = number(report, "/registration/fixes");
+  f.false_fixes = number(report, "/registration/false_fixes");
+  f.first_position = number(report, "/fusion/time_to_first_fix_from_start_s");
+  f.scale_start = number(report, "/vio/scale_errors/start/error");
+  f.scale_30s = number(report, "/vio/scale_errors/after_30s/error");
+  f.scale_end = number(report, "/vio/scale_errors/end/error");
+  f.claim_start = number(report, "/vio/scale_errors/start/stddev");
+  f.claim_30s = number(report, "/vio/scale_errors/after_30s/stddev");
+  f.claim_end = number(report, "/vio/scale_errors/end/stddev");
+  if (report.contains("health")) {
+    for (const auto& [service, health] : report["health"].items()) {
+      if (!health.contains("said")) continue;
+      for (const json& said : health["said"]) {
+        const auto state = said.value("state", std::string());
+        if (state != "degraded" && state != "failed") continue;
+        f.health.push_back(service + ": " + said.value("message", std::string()));
+      }
+    }
+  }
+  return f;
+}
+
+std::vector<Result> read_results(const Plan& plan, const std::filesystem::path& folder) {
+  std::vector<Result> results;
+  std::map<std::pair<std::string, uint64_t>, Figures> nominal;
+  for (const Run& run : plan.runs) {
+    const std::filesystem::path file = folder / (run.name + ".json");
+    if (!std::filesystem::exists(file)) continue;
+    Result result{.run = &run, .figures = {}, .verdict = Verdict::kSilent, .health = {}};
+    try {
+      result.figures = Figures::of(json::parse(std::ifstream(file)));
+    } catch (const json::exception& error) {
+      throw std::runtime_error(fmt::format("{}: {}", file.string(), error.what()));
+    }
+    if (run.level == 0) nominal[{run.scenario, run.seed}] = result.figures;
+    results.push_back(result);
+  }
+  for (Result& result : results) {
+    const auto compared = nominal.find({result.run->scenario, result.run->seed});
+    if (compared == nominal.end()) {
+      throw std::invalid_argument(fmt::format("{}: its nominal run is missing", result.run->name));
+    }
+    result.verdict = judge(result.figures, compared->second);
+    const auto& usual = compared->second.health;
+    for (const std::string& said : result.figures.health) {
+      const bool news = result.run->level == 0 || std::find(usual.begin(), usual.end(), said) == usual.end();
+      if (news) result.health.push_back(said);
+    }
+  }
+  return results;
+}
+
+std::string to_table(const Table& table, const std::vector<Result>& results) {
+  std::string text =
+      "| row | level | scenario | verdict, by seed | RMSE (m) | horizontal (m) | NEES of 3 | beyond its bound, "
+      "horizontally / "
+      "vertically | of bounded epochs | with position (%) | bounded (%) | false fixes | first position (s) | "
+      "odometry's "
+      "scale off at start / 30 s / end (%) | health said |\n"
+      "|---|---|---|---|---|---|---|---|---|---|---|---|---|---|---|\n";
+  for (const Group& group : grouped(table, results)) {
+    const Run& run = *group.front()->run;
+    const Level& level = table.levels[run.level];
+    text += fmt::format("| {} | {} | {} | {} |", level.row, level.name, run.scenario, verdicts(group));
+    text += fmt::format(" {} | {} | {} |", median_and_worst(group, 2, [](const Figures& f) { return f.rmse; }),
+                        median_and_worst(group, 2, [](const Figures& f) { return f.horizontal; }),
+                        median_and_worst(group, 1, [](const Figures& f) { return f.nees; }));
+    text += fmt::format(" {:.0f} / {:.0f} | {:.0f} |", sum(group, [](const Figures& f) { return f.beyond_horizontal; }),
+                        sum(group, [](const Figures& f) { return f.beyond_vertical; }),
+                        sum(group, [](const Figures& f) { return f.bounded; }));
+    text += fmt::format(" {} | {} |",
+                        cell(100 * median(values(group, [](const Figures& f) { return f.located_share; })), 0),
+                        cell(100 * median(values(group, [](const Figures& f) { return f.bounded_share; })), 0));
+    text += fmt::format(" {:.0f} of {:.0f} | {} |", sum(group, [](const Figures& f) { return f.false_fixes; }),
+                        sum(group, [](const Figures& f) { return f.fixes; }),
+                        median_and_worst(group, 1, [](const Figures& f) { return f.first_position; }));
+    text += fmt::format(" {} / {} / {} | {} |\n", furthest(group, [](const Figures& f) { return f.scale_start; }),
+                        furthest(group, [](const Figures& f) { return f.scale_30s; }),
+                        furthest(group, [](const Figures& f) { return f.scale_end; }), words(group));
+  }
+  int counts[4] = {};
+  for (const Result& result : results) ++counts[static_cast<int>(result.verdict)];
+  text += fmt::format("\n{} runs: {} right, {} wide, {} WRONG, {} silent\n", results.size(), counts[0], counts[1],
+                      counts[2], counts[3]);
+  return text;
+}
+
+ordered_json to_json(const Table& table, const std::vector<Result>& results, const std::string& commit) {
+  ordered_json top;
+  top["commit"] = commit;
+  top["runs"] = ordered_json::array();
+  for (const Result& result : results) top["runs"].push_back(run_json(table, result));
+  return top;
+}
+
+std::vector<std::string> outside_bands(const Table& table, const std::vector<Result>& results) {
+  std::vector<std::string> faults;
+  for (size_t i = 0; i < table.levels.size(); ++i) {
+    const Level& level = table.levels[i];
+    const bool flown = std::any_of(results.begin(), results.end(), [&](const Result& r) { return r.run->level == i; });
+    if (!level.bands.empty() && !flown) faults.push_back(fmt::format("{} {}: was not flown", level.row, level.name));
+  }
+  for (const Result& result : results) {
+    const ordered_json json = run_json(table, result);
+    for (const auto& [figure, band] : table.levels[result.run->level].bands) {
+      const double value = json.contains(figure) && json[figure].is_number() ? json[figure].get<double>() : kNan;
+      if (value >= band.first && value <= band.second) continue;
+      faults.push_back(fmt::format("{}: {} is {}, not within {} to {}", result.run->name, figure, cell(value, 3),
+                                   band.first, band.second));
+    }
+  }
+  return faults;
+}
+
+}  // namespace orthonav::sensitivity

@@ -1,0 +1,41 @@
+// Flights by orders: phases flown one after another, each with its speed, height, turns and spin.
+//
+// A point with bounded acceleration and bank is steered round a circuit of lanes over the map, or in circles. What
+// comes out is the motion before gusts; plan_flight makes a spline of it, which rounds the corners of an order over a
+// second.
+#pragma once
+
+#include <cstdint>
+#include <string>
+#include <vector>
+
+#include <Eigen/Core>
+
+#include "tools/simulate/flight_plan.h"
+
+namespace orthonav::simulate {
+
+// East, north, up (m in G) and heading of the nose (rad, counter-clockwise from east, without jumps) over time.
+class NominalMotion {
+ public:
+  static constexpr double kStep = 0.02;  // s between samples
+
+  explicit NominalMotion(std::vector<Eigen::Vector4d> samples) : samples_(std::move(samples)) {}
+  // Before the first and after the last sample the motion goes on as there.
+  Eigen::Vector4d at(double t) const;
+
+ private:
+  std::vector<Eigen::Vector4d> samples_;
+};
+
+struct OrderedFlight {
+  NominalMotion motion;
+  double duration = 0;  // s
+};
+
+// Flies options.phases, after a take-off where `options` asks for one. `ground_offset`, m, is the height of a standing
+// aircraft's body over the ground. Throws std::invalid_argument when a phase's turns do not fit over the map.
+OrderedFlight fly_phases(const FlightOptions& options, const FlightArea& area, double gravity, double ground_offset,
+                         uint64_t seed);
+
+}  // namespace orthonav::simulate
