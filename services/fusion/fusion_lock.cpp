@@ -7,6 +7,7 @@
 #include <Eigen/Eigenvalues>
 
 #include "common/math/so3.h"
+#include "services/fusion/error_budget.h"
 #include "services/fusion/fusion.h"
 #include "services/fusion/plausible.h"
 
@@ -39,7 +40,7 @@ std::optional<Eigen::Matrix3d> own_covariance(const Eigen::Matrix3d& covariance,
 std::optional<Sighting> Fusion::sight(const Fix& fix, Outcome& refused) const {
   refused = Outcome::kBadNumber;
   if (!is_place(fix.position) || !is_place(fix.anchor) || !std::isfinite(fix.heading)) return std::nullopt;
-  const auto covariance = own_covariance(fix.covariance, options_.fix);
+  const auto covariance = own_covariance(fix.upright ? fix.upright->covariance : fix.covariance, options_.fix);
   if (!covariance) return std::nullopt;
   if (fix.session != session_) {
     refused = fix.session < session_ ? Outcome::kOldSession : Outcome::kUnknownKeyframe;
@@ -61,6 +62,7 @@ std::optional<Sighting> Fusion::sight(const Fix& fix, Outcome& refused) const {
   sighting.keyframe = keyframe;
   sighting.fix = fix;
   sighting.covariance = *covariance;
+  sighting.lever = fix.upright ? fix.upright->lever : lever_of_height(working_height(options_.edge, keyframe));
   sighting.scale_stddev = scale_stddev_at(keyframe);
   sighting.yaw_G_W = wrap_angle(yaw_from_heading(fix.heading) - yaw_from_heading(heading_of(keyframe.q_W_B)));
   const double stddev = fix.heading_stddev > 0.0 ? fix.heading_stddev : options_.compass.fix_stddev;
@@ -82,7 +84,7 @@ Outcome Fusion::add_fix(const Fix& fix) {
     return try_lock() ? Outcome::kLocked : Outcome::kWaiting;
   }
   if (!graph_->contains(fix.keyframe_id)) return Outcome::kTooLate;
-  sighting->p_G_B = frame_->to_enu(fix.position);
+  sighting->place_in(*frame_);
   if (!within_gate(*sighting)) {
     wait();
     return try_relock() ? Outcome::kRelocked : Outcome::kOutlier;
@@ -96,7 +98,7 @@ bool Fusion::try_lock() {
   // G is the newest fix's: another map may have been loaded since the older ones.
   const Geodetic& anchor = waiting_.back().fix.anchor;
   if (!frame_ || !same_place(frame_->anchor(), anchor)) frame_.emplace(anchor);
-  for (Sighting& sighting : waiting_) sighting.p_G_B = frame_->to_enu(sighting.fix.position);
+  for (Sighting& sighting : waiting_) sighting.place_in(*frame_);
   const GateOptions& gate = options_.gate;
   const auto consensus = find_consensus(waiting_, static_cast<size_t>(gate.lock_fixes), options_);
   if (!consensus || consensus->span < gate.lock_distance) return false;
@@ -135,8 +137,7 @@ void Fusion::look_at_rivals() {
   const Sighting& last = waiting_.back();
   const NodeState& there = graph_->state(last.keyframe.id);
   rival.p_G_B = last.p_G_B - there.p();  // as an offset: it is carried along with the newest node
-  rival.covariance = last.covariance;
-  rival.covariance.diagonal() += shared_stddev(options_, last.keyframe).cwiseAbs2();
+  rival.covariance = last.covariance + shared_covariance(options_, last.lever);
   rival_ = rival;
   rival_utime_ = last.fix.utime;
   rival_fixes_ = static_cast<int>(rivals->members.size());
@@ -157,8 +158,8 @@ void Fusion::lock(const std::vector<Sighting>& members) {
   const double scale_stddev = scale_stddev_at(next->second.keyframe);
   // The fixes' heading is the compass's, which has its own term in the graph.
   const double yaw_stddev = next->second.compass ? kAnyHeading : members.back().yaw_stddev;
-  stddev << kAnywhere, kAnywhere, kAnywhere, yaw_stddev, edge.tilt_stddev, edge.tilt_stddev, scale_stddev,
-      options_.compass.bias_stddev, shared_stddev(options_, next->second.keyframe);
+  stddev << kAnywhere, kAnywhere, kAnywhere, yaw_stddev, edge.lean_stddev, edge.lean_stddev, scale_stddev,
+      options_.compass.bias_stddev, shared_stddev(options_.fix);
   graph_ = std::make_unique<PoseGraph>(options_);
   graph_->start(next->second.keyframe, guess, stddev);
   for (;;) {
@@ -190,11 +191,10 @@ void Fusion::lock(const std::vector<Sighting>& members) {
 
 bool Fusion::within_gate(const Sighting& sighting) const {
   const Estimate estimate = graph_->estimate(sighting.keyframe.id);
-  const Eigen::Vector3d innovation = sighting.p_G_B - estimate.state.p() - estimate.state.shared();
-  const StateMatrix& P = estimate.covariance;
-  const Eigen::Matrix3d cross = P.block<3, 3>(kPosition, kShared);
-  const Eigen::Matrix3d covariance = P.block<3, 3>(kPosition, kPosition) + cross + cross.transpose() +
-                                     P.block<3, 3>(kShared, kShared) + sighting.covariance;
+  const PositionMeasurement measurement{sighting.p_G_B, Eigen::Matrix3d::Identity(), sighting.lever};
+  const Eigen::Vector3d innovation = residual(measurement, estimate.state);
+  const PositionRows J = position_jacobian(sighting.lever, estimate.state);
+  const Eigen::Matrix3d covariance = J * estimate.covariance * J.transpose() + sighting.covariance;
   const double limit = options_.gate.innovation * options_.gate.innovation;
   return innovation.dot(covariance.llt().solve(innovation)) < limit;
 }
@@ -202,7 +202,10 @@ bool Fusion::within_gate(const Sighting& sighting) const {
 void Fusion::use(const Sighting& sighting) {
   const int id = sighting.keyframe.id;
   const Fix& fix = sighting.fix;
-  graph_->add_position(id, sighting.p_G_B, options_.fix.fixes_per_observation * sighting.covariance);
+  graph_->add_position(id, sighting.p_G_B, options_.fix.fixes_per_observation * sighting.covariance, sighting.lever);
+  if (fix.upright) {
+    graph_->add_tilt(id, fix.upright->tilt, options_.fix.fixes_per_observation * fix.upright->tilt_covariance);
+  }
   // So that neighbours that look at the same points do not count as if each looked at its own.
   const double shared = std::sqrt(static_cast<double>(std::max(1, fix.num_keyframes)));
   if (fix.heading_fitted && fix.heading_stddev > 0.0) {

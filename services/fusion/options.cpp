@@ -21,8 +21,8 @@ void read_edge(ConfigNode node, EdgeOptions& edge) {
   node.read("default_height", edge.default_height, 1.0, 1e5);
   read_deg(node, "yaw_walk_deg", edge.yaw_walk, 90.0);
   node.read("use_odometry_covariance", edge.use_odometry_covariance);
-  read_deg(node, "tilt_stddev_deg", edge.tilt_stddev, 20.0);
-  node.read("tilt_time", edge.tilt_time, 0.1, 1e6);
+  read_deg(node, "lean_stddev_deg", edge.lean_stddev, 20.0);
+  node.read("lean_time", edge.lean_time, 0.1, 1e6);
   node.read("scale_stddev", edge.scale_stddev, 1e-5, 1.0);
   node.read("start_scale_stddev", edge.start_scale_stddev, 1e-5, 1.0);
   node.read("scale_time", edge.scale_time, 0.1, 1e6);

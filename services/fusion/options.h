@@ -11,8 +11,8 @@ struct EdgeOptions {
   double default_height = 150.0;        // m, where the height above ground is unknown
   double yaw_walk = 0.000122;           // rad per square root of a second
   bool use_odometry_covariance = true;  // in place of the above where the keyframe carries one, if it is larger
-  double tilt_stddev = 0.00297;         // rad, of W's "up"
-  double tilt_time = 60.0;              // s, over which the tilt forgets
+  double lean_stddev = 0.0052;          // rad per axis, of the odometry's vertical, which turns with the body
+  double lean_time = 60.0;              // s, over which the lean forgets
   double scale_stddev = 0.02;           // of the odometry's scale, as a fraction
   double start_scale_stddev = 0.1;      // the same at the start of a session, when it is not settled yet
   double scale_time = 600.0;            // s, over which it forgets
