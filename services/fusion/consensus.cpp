@@ -35,19 +35,15 @@ double disagreement(const Sighting& a, const Sighting& b, const FusionOptions& o
   shared.head<2>() *= forgotten(options.fix.shared_distance);
   shared.z() *= forgotten(options.fix.shared_vertical_distance);
   // So does the lean, the less the more the body has turned.
-  const double seconds = std::abs(seconds_between(a.keyframe.utime, b.keyframe.utime));
-  const double kept = std::exp(-seconds / options.edge.lean_time);
   const auto turned = [&](const Sighting& s) -> Lever {
     return s.lever * Eigen::Rotation2Dd(yaw + yaw_of(s.keyframe.q_W_B)).toRotationMatrix();
   };
-  const Lever lean_a = turned(a), lean_b = turned(b);
-  const Eigen::Matrix3d common = kept * lean_a * lean_b.transpose();
-  const Eigen::Matrix3d lean = lean_a * lean_a.transpose() + lean_b * lean_b.transpose() - common - common.transpose();
+  const Lever lean = options.edge.lean_stddev * (turned(b) - turned(a));
   const double scale_stddev = std::max(a.scale_stddev, b.scale_stddev);
   Eigen::Matrix3d covariance = a.covariance + b.covariance + yaw_stddev * yaw_stddev * sideways * sideways.transpose() +
                                scale_stddev * scale_stddev * moved * moved.transpose();
   covariance.diagonal() += shared;
-  covariance += options.edge.lean_stddev * options.edge.lean_stddev * lean;
+  covariance += lean * lean.transpose();
   const Eigen::Vector3d error = (b.p_G_B - a.p_G_B) - moved;
   return error.dot(covariance.llt().solve(error));
 }

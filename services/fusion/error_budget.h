@@ -21,7 +21,7 @@ inline Eigen::Vector3d shared_stddev(const FixOptions& fix) {
   return {fix.shared_horizontal_stddev, fix.shared_horizontal_stddev, fix.shared_vertical_stddev};
 }
 
-// The same with the lean, of a fix by itself.
+// Of all that neighbouring fixes are off by, of one by itself.
 inline Eigen::Matrix3d shared_covariance(const FusionOptions& options, const Lever& lever) {
   Eigen::Matrix3d covariance = shared_stddev(options.fix).cwiseAbs2().asDiagonal();
   return covariance + options.edge.lean_stddev * options.edge.lean_stddev * lever * lever.transpose();

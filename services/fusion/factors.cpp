@@ -39,6 +39,7 @@ Eigen::Matrix2d sqrt_information(const Eigen::Matrix2d& covariance) {
 NodeState predict(const Transition& transition, const NodeState& i) {
   NodeState j;
   j.x = transition.decay.cwiseProduct(i.x);
+  j.x.segment<2>(kLean) += transition.lean_change;
   j.x.segment<3>(kPosition) = i.p() + std::exp(i.log_scale()) * (i.q_G_W() * transition.dp_W);
   return j;
 }

@@ -14,18 +14,21 @@ namespace orthonav::fusion {
 
 // Motion from node i to node j: equations (12) and (13) with the odometry's scale and lean,
 //   p_j - p_i - exp(scale_i) R_G_W,i dp_W,
-// while each of the other variables x decays towards 0 or walks: x_j - decay x_i.
+// while each of the other variables x decays towards 0 or walks: x_j - decay x_i. The lean follows what the odometry
+// has changed its mind by about the accelerometer: lean_j - lean_i - lean_change.
 struct Transition {
   Eigen::Vector3d dp_W = Eigen::Vector3d::Zero();
   Eigen::Matrix3d position_root = Eigen::Matrix3d::Identity();  // U with U^T U the inverse covariance of the first line
   StateVector decay = StateVector::Ones();                      // entries from kYaw on; 1: a random walk
   StateVector stddev = StateVector::Ones();                     // entries from kYaw on, > 0
+  Eigen::Vector2d lean_change = Eigen::Vector2d::Zero();        // rad, in j's axes
 };
 
 // How far a position moves with the vertical that it was found under, m/rad: of (east, north, up) by (east, north).
 using Lever = Eigen::Matrix<double, 3, 2>;
 
-// Where the map says the body is if the odometry's vertical is right, equation (14): p + shared + lever tilt - position.
+// Where the map says the body is if the odometry's vertical is right, equation (14): p + shared + lever tilt -
+// position.
 struct PositionMeasurement {
   Eigen::Vector3d p_G_B = Eigen::Vector3d::Zero();
   Eigen::Matrix3d root = Eigen::Matrix3d::Identity();  // U with U^T U the inverse covariance of what fixes do not share

@@ -17,6 +17,8 @@ namespace {
 // Standard deviation of what nothing is known of: a position on the map, m, and a heading, rad.
 constexpr double kAnywhere = 1e4;
 constexpr double kAnyHeading = 1.0;
+// Share of a new measurement below which it waits for more: hovering, the same ground is seen for ever.
+constexpr double kNoNews = 1e-3;
 
 double yaw_from_heading(double heading) {
   return wrap_angle(0.5 * std::numbers::pi - heading);
@@ -35,13 +37,19 @@ std::optional<Eigen::Matrix3d> own_covariance(const Eigen::Matrix3d& covariance,
   return Eigen::Matrix3d(symmetric + options.stddev_floor * options.stddev_floor * Eigen::Matrix3d::Identity());
 }
 
+bool makes_sense(const Upright& upright) {
+  return upright.p_G_B.norm() < kLargestFixStddev && upright.lever.norm() < kFarthest &&
+         upright.tilt.norm() < kFarthest && upright.tilt_covariance.allFinite() &&
+         Eigen::LLT<Eigen::Matrix2d>(upright.tilt_covariance).info() == Eigen::Success;
+}
+
 }  // namespace
 
 std::optional<Sighting> Fusion::sight(const Fix& fix, Outcome& refused) const {
   refused = Outcome::kBadNumber;
   if (!is_place(fix.position) || !is_place(fix.anchor) || !std::isfinite(fix.heading)) return std::nullopt;
   const auto covariance = own_covariance(fix.upright ? fix.upright->covariance : fix.covariance, options_.fix);
-  if (!covariance) return std::nullopt;
+  if (!covariance || (fix.upright && !makes_sense(*fix.upright))) return std::nullopt;
   if (fix.session != session_) {
     refused = fix.session < session_ ? Outcome::kOldSession : Outcome::kUnknownKeyframe;
     return std::nullopt;
@@ -154,12 +162,11 @@ void Fusion::lock(const std::vector<Sighting>& members) {
   guess.x.segment<3>(kPosition) = q_G_W * next->second.keyframe.p_W_B + placement.p_G_W;
   guess.x(kYaw) = placement.yaw_G_W;
   StateVector stddev;
-  const EdgeOptions& edge = options_.edge;
   const double scale_stddev = scale_stddev_at(next->second.keyframe);
   // The fixes' heading is the compass's, which has its own term in the graph.
   const double yaw_stddev = next->second.compass ? kAnyHeading : members.back().yaw_stddev;
-  stddev << kAnywhere, kAnywhere, kAnywhere, yaw_stddev, edge.lean_stddev, edge.lean_stddev, scale_stddev,
-      options_.compass.bias_stddev, shared_stddev(options_.fix);
+  stddev << kAnywhere, kAnywhere, kAnywhere, yaw_stddev, options_.edge.lean_stddev, options_.edge.lean_stddev,
+      scale_stddev, options_.compass.bias_stddev, shared_stddev(options_.fix);
   graph_ = std::make_unique<PoseGraph>(options_);
   graph_->start(next->second.keyframe, guess, stddev);
   for (;;) {
@@ -180,6 +187,7 @@ void Fusion::lock(const std::vector<Sighting>& members) {
   newest_fix_utime_ = 0;
   rival_.reset();
   rival_fixes_ = 0;
+  tilted_from_.reset();
   for (const Sighting& member : members) {
     if (graph_->contains(member.keyframe.id)) use(member);
   }
@@ -199,13 +207,23 @@ bool Fusion::within_gate(const Sighting& sighting) const {
   return innovation.dot(covariance.llt().solve(innovation)) < limit;
 }
 
+// The perspective of the same ground seen again is no news: of a constant error that is forgotten over some way, a
+// sample at that way's share from the last tells as much as one in coth(share / 2) would that errs by itself.
+void Fusion::add_tilt(const Sighting& sighting) {
+  if (!sighting.fix.upright) return;
+  const Eigen::Vector3d& p_W_B = sighting.keyframe.p_W_B;
+  const double forgotten = options_.fix.tilt_distance * working_height(options_.edge, sighting.keyframe);
+  const double news = tilted_from_ ? std::tanh(0.5 * (p_W_B - *tilted_from_).norm() / forgotten) : 1.0;
+  if (news < kNoNews) return;
+  tilted_from_ = p_W_B;
+  graph_->add_tilt(sighting.keyframe.id, sighting.fix.upright->tilt, sighting.fix.upright->tilt_covariance / news);
+}
+
 void Fusion::use(const Sighting& sighting) {
   const int id = sighting.keyframe.id;
   const Fix& fix = sighting.fix;
   graph_->add_position(id, sighting.p_G_B, options_.fix.fixes_per_observation * sighting.covariance, sighting.lever);
-  if (fix.upright) {
-    graph_->add_tilt(id, fix.upright->tilt, options_.fix.fixes_per_observation * fix.upright->tilt_covariance);
-  }
+  add_tilt(sighting);
   // So that neighbours that look at the same points do not count as if each looked at its own.
   const double shared = std::sqrt(static_cast<double>(std::max(1, fix.num_keyframes)));
   if (fix.heading_fitted && fix.heading_stddev > 0.0) {

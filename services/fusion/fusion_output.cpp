@@ -226,13 +226,12 @@ void Fusion::start_bridge(const OdometryState& state) {
 void Fusion::try_bridge() {
   if (!bridge_ || waypoints_.empty() || graph_) return;
   const Keyframe& first = waypoints_.begin()->second.keyframe;
-  const EdgeOptions& edge = options_.edge;
   NodeState guess = bridge_->state;
   const Eigen::Vector3d back = guess.q_G_W() * (first.p_W_B - bridge_p_W_B_);
   guess.x.segment<3>(kPosition) += back;
   StateVector stddev = bridge_->covariance.diagonal().cwiseSqrt();
   stddev.segment<3>(kPosition).array() += scale_stddev_at(first) * back.norm();
-  stddev.segment<2>(kLean).setConstant(edge.lean_stddev);
+  stddev.segment<2>(kLean).setConstant(options_.edge.lean_stddev);
   stddev(kScale) = scale_stddev_at(first);
   stddev.tail<3>() = shared_stddev(options_.fix);
   guess.x.tail<3>().setZero();

@@ -58,8 +58,15 @@ Transition transition_between(const FusionOptions& options, const Keyframe& from
     transition.stddev(index) = stddev * std::sqrt(std::max(1e-9, -std::expm1(-2.0 * ratio)));
   };
   transition.stddev(kYaw) = std::sqrt(yaw_variance);
-  forget(kLean, edge.lean_stddev, duration / edge.lean_time);
-  forget(kLean + 1, edge.lean_stddev, duration / edge.lean_time);
+  // The accelerometer's bias walks; the odometry keeps up with it, so that the lean never becomes unlikelier than it
+  // was.
+  const double lean_walk = options.inertial.accel_walk / options.inertial.gravity / edge.lean_stddev;
+  forget(kLean, edge.lean_stddev, 0.5 * lean_walk * lean_walk * duration);
+  forget(kLean + 1, edge.lean_stddev, 0.5 * lean_walk * lean_walk * duration);
+  // What the odometry now takes for the bias it no longer takes for gravity.
+  const Eigen::Vector3d learnt =
+      Eigen::AngleAxisd(-yaw_of(to.q_W_B), Eigen::Vector3d::UnitZ()) * (to.q_W_B * (to.accel_bias - from.accel_bias));
+  if (learnt.allFinite()) transition.lean_change = Eigen::Vector2d(learnt.y(), -learnt.x()) / options.inertial.gravity;
   forget(kScale, edge.scale_stddev, duration / edge.scale_time);
   forget(kCompassBias, options.compass.bias_stddev, duration / options.compass.bias_time);
   const Eigen::Vector3d shared = shared_stddev(options.fix);
