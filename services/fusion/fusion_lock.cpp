@@ -222,7 +222,7 @@ void Fusion::add_tilt(const Sighting& sighting) {
 void Fusion::use(const Sighting& sighting) {
   const int id = sighting.keyframe.id;
   const Fix& fix = sighting.fix;
-  graph_->add_position(id, sighting.p_G_B, options_.fix.fixes_per_observation * sighting.covariance, sighting.lever);
+  graph_->add_position(id, sighting.p_G_B, sighting.covariance, sighting.lever);
   add_tilt(sighting);
   // So that neighbours that look at the same points do not count as if each looked at its own.
   const double shared = std::sqrt(static_cast<double>(std::max(1, fix.num_keyframes)));

@@ -67,7 +67,7 @@ nav_state_t message_of(const Solution& solution) {
   return nav;
 }
 
-// Nothing where the fix does not say.
+// Nothing where the fix does not say: NaN, or zeros of a producer that does not know these fields.
 std::optional<Upright> upright_of(const map_fix_t& message) {
   Upright upright;
   upright.p_G_B = vector_of(message.upright_p_G_B) - vector_of(message.p_G_B);
@@ -76,7 +76,7 @@ std::optional<Upright> upright_of(const map_fix_t& message) {
   upright.tilt = Eigen::Map<const Eigen::Vector2d>(message.tilt);
   upright.tilt_covariance = Eigen::Map<const Eigen::Matrix<double, 2, 2, Eigen::RowMajor>>(message.tilt_covariance);
   const bool said = upright.p_G_B.allFinite() && upright.covariance.allFinite() && upright.lever.allFinite() &&
-                    upright.tilt.allFinite() && upright.tilt_covariance.allFinite();
+                    upright.tilt.allFinite() && upright.tilt_covariance.trace() > 0.0;
   return said ? std::optional(upright) : std::nullopt;
 }
 

@@ -35,7 +35,6 @@ void read_fix(ConfigNode node, FixOptions& fix) {
   node.read("shared_distance", fix.shared_distance, 0.1, 1e6);
   node.read("shared_vertical_distance", fix.shared_vertical_distance, 0.1, 1e6);
   node.read("stddev_floor", fix.stddev_floor, 1e-3, 1000.0);
-  node.read("fixes_per_observation", fix.fixes_per_observation, 1, 100);
   node.read("tilt_distance", fix.tilt_distance, 1e-3, 1e3);
   read_deg(node, "heading_stddev_floor_deg", fix.heading_stddev_floor, 180.0);
   node.read("scale_stddev_floor", fix.scale_stddev_floor, 0.0, 1.0);

@@ -25,7 +25,6 @@ struct FixOptions {
   double shared_distance = 40.0;          // m of way over which it is forgotten, horizontally
   double shared_vertical_distance = 200;  // m, vertically
   double stddev_floor = 0.5;              // m per axis, added to what a fix says of itself
-  double fixes_per_observation = 3;       // so many neighbours count as one: they are made of the same points
   double tilt_distance = 0.25;            // of the height: way over which what a fix's tilt errs by is forgotten
   double heading_stddev_floor =
       0.026;                         // rad, added to a fitted heading's own: neighbours err alike, towards the compass
