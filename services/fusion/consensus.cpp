@@ -6,7 +6,8 @@
 #include <Eigen/Cholesky>
 
 #include "common/math/so3.h"
-#include "services/fusion/pose_graph.h"
+#include "services/fusion/error_budget.h"
+#include "services/fusion/plausible.h"
 
 namespace orthonav::fusion {
 namespace {
@@ -17,6 +18,11 @@ Eigen::Vector3d turn(double yaw, const Eigen::Vector3d& v) {
 
 }  // namespace
 
+void Sighting::place_in(const EnuFrame& frame) {
+  p_G_B = frame.to_enu(fix.position);
+  if (fix.upright) p_G_B += fix.upright->p_G_B;
+}
+
 double disagreement(const Sighting& a, const Sighting& b, const FusionOptions& options) {
   // Both headings come from one compass: the difference between them is no evidence, their mean is the estimate.
   const double yaw = a.yaw_G_W + 0.5 * wrap_angle(b.yaw_G_W - a.yaw_G_W);
@@ -25,13 +31,19 @@ double disagreement(const Sighting& a, const Sighting& b, const FusionOptions& o
   const Eigen::Vector3d sideways = Eigen::Vector3d::UnitZ().cross(moved);
   // What neighbours share drops out of the difference, the less the further they are apart.
   const auto forgotten = [&](double distance) { return 2.0 * -std::expm1(-moved.norm() / distance); };
-  Eigen::Vector3d shared = shared_stddev(options, b.keyframe).cwiseAbs2();
+  Eigen::Vector3d shared = shared_stddev(options.fix).cwiseAbs2();
   shared.head<2>() *= forgotten(options.fix.shared_distance);
   shared.z() *= forgotten(options.fix.shared_vertical_distance);
+  // So does the lean, the less the more the body has turned.
+  const auto turned = [&](const Sighting& s) -> Lever {
+    return s.lever * Eigen::Rotation2Dd(yaw + yaw_of(s.keyframe.q_W_B)).toRotationMatrix();
+  };
+  const Lever lean = options.edge.lean_stddev * (turned(b) - turned(a));
   const double scale_stddev = std::max(a.scale_stddev, b.scale_stddev);
   Eigen::Matrix3d covariance = a.covariance + b.covariance + yaw_stddev * yaw_stddev * sideways * sideways.transpose() +
                                scale_stddev * scale_stddev * moved * moved.transpose();
   covariance.diagonal() += shared;
+  covariance += lean * lean.transpose();
   const Eigen::Vector3d error = (b.p_G_B - a.p_G_B) - moved;
   return error.dot(covariance.llt().solve(error));
 }

@@ -10,6 +10,8 @@
 
 #include <Eigen/Core>
 
+#include "common/geo/enu_frame.h"
+#include "services/fusion/factors.h"
 #include "services/fusion/options.h"
 #include "services/fusion/types.h"
 
@@ -19,11 +21,15 @@ namespace orthonav::fusion {
 struct Sighting {
   Keyframe keyframe;
   Fix fix;
-  Eigen::Vector3d p_G_B = Eigen::Vector3d::Zero();           // the fix in the graph's G
+  Eigen::Vector3d p_G_B = Eigen::Vector3d::Zero();           // the fix in the graph's G, under the odometry's vertical
   Eigen::Matrix3d covariance = Eigen::Matrix3d::Identity();  // of what it does not share with its neighbours
+  Lever lever = Lever::Zero();                               // by which p_G_B moves with that vertical
   double yaw_G_W = 0.0;                                      // rad, from the fix's heading
   double yaw_stddev = 0.0;                                   // rad
   double scale_stddev = 0.0;                                 // of the odometry's scale there, as a fraction
+
+  // Fills in p_G_B.
+  void place_in(const EnuFrame& frame);
 };
 
 // Square of the Mahalanobis distance between the motion of the fixes and that of the odometry, from a to b.

@@ -10,8 +10,6 @@
 namespace orthonav::fusion {
 namespace {
 
-using PositionRows = Eigen::Matrix<double, 3, kStates>;
-
 double huber_weight(double norm, double huber) {
   return norm > huber ? huber / norm : 1.0;
 }
@@ -33,9 +31,15 @@ Eigen::Matrix3d sqrt_information(const Eigen::Matrix3d& covariance) {
   return Eigen::LLT<Eigen::Matrix3d>(covariance).matrixL().solve(identity);
 }
 
+Eigen::Matrix2d sqrt_information(const Eigen::Matrix2d& covariance) {
+  const Eigen::Matrix2d identity = Eigen::Matrix2d::Identity();
+  return Eigen::LLT<Eigen::Matrix2d>(covariance).matrixL().solve(identity);
+}
+
 NodeState predict(const Transition& transition, const NodeState& i) {
   NodeState j;
   j.x = transition.decay.cwiseProduct(i.x);
+  j.x.segment<2>(kLean) += transition.lean_change;
   j.x.segment<3>(kPosition) = i.p() + std::exp(i.log_scale()) * (i.q_G_W() * transition.dp_W);
   return j;
 }
@@ -47,7 +51,19 @@ StateVector residual(const Transition& transition, const NodeState& i, const Nod
 }
 
 Eigen::Vector3d residual(const PositionMeasurement& measurement, const NodeState& node) {
-  return measurement.root * (node.p() + node.shared() - measurement.p_G_B);
+  return measurement.root * (node.p() + node.shared() + measurement.lever * node.tilt() - measurement.p_G_B);
+}
+
+Eigen::Vector2d residual(const TiltMeasurement& measurement, const NodeState& node) {
+  return measurement.root * (node.tilt() - measurement.tilt);
+}
+
+PositionRows position_jacobian(const Lever& lever, const NodeState& node) {
+  PositionRows J = PositionRows::Zero();
+  J.middleCols<3>(kPosition).setIdentity();
+  J.middleCols<3>(kYaw) = lever * tilt_jacobian(node);
+  J.middleCols<3>(kShared).setIdentity();
+  return J;
 }
 
 double residual(const HeadingMeasurement& measurement, const NodeState& node) {
@@ -94,14 +110,21 @@ PairQuadratic linearise(const Transition& transition, const NodeState& i, const 
 
 Quadratic linearise(const PositionMeasurement& measurement, const NodeState& node, double huber) {
   const Eigen::Vector3d r = residual(measurement, node);
+  const PositionRows J = measurement.root * position_jacobian(measurement.lever, node);
   const double weight = huber_weight(r.norm(), huber);
-  const Eigen::Matrix3d information = weight * measurement.root.transpose() * measurement.root;
-  const Eigen::Vector3d pull = weight * measurement.root.transpose() * r;
   Quadratic cost;
-  for (const int row : {kPosition, kShared}) {
-    cost.b.segment<3>(row) = pull;
-    for (const int column : {kPosition, kShared}) cost.H.block<3, 3>(row, column) = information;
-  }
+  cost.H.noalias() = weight * J.transpose() * J;
+  cost.b.noalias() = weight * J.transpose() * r;
+  return cost;
+}
+
+Quadratic linearise(const TiltMeasurement& measurement, const NodeState& node, double huber) {
+  const Eigen::Vector2d r = residual(measurement, node);
+  const Eigen::Matrix<double, 2, 3> J = measurement.root * tilt_jacobian(node);
+  const double weight = huber_weight(r.norm(), huber);
+  Quadratic cost;
+  cost.H.block<3, 3>(kYaw, kYaw).noalias() = weight * J.transpose() * J;
+  cost.b.segment<3>(kYaw).noalias() = weight * J.transpose() * r;
   return cost;
 }
 

@@ -63,6 +63,7 @@ void Fusion::start_segment(int session) {
   believed_ = 0;
   confirming_ = 0;
   confirmed_span_ = 0.0;
+  tilted_from_.reset();
   num_fixes_ = 0;
   session_utime_ = 0;
   last_state_.reset();
@@ -101,6 +102,12 @@ Outcome Fusion::add_keyframe(const Keyframe& keyframe) {
   Waypoint waypoint{keyframe, compass_near(keyframe.utime)};
   Keyframe& clean = waypoint.keyframe;
   clean.q_W_B.normalize();
+  // The newest that is known: what was missed comes with the next.
+  if (last_state_ && is_accel_bias(last_state_->accel_bias)) {
+    clean.accel_bias = last_state_->accel_bias;
+  } else if (!waypoints_.empty()) {
+    clean.accel_bias = waypoints_.rbegin()->second.keyframe.accel_bias;
+  }
   // A covariance that is none would break the graph: better to know nothing.
   const Eigen::LLT<Matrix6d> llt(clean.relative_covariance);
   if (!clean.relative_covariance.allFinite() || llt.info() != Eigen::Success) {
@@ -145,7 +152,8 @@ bool Fusion::resume(const Memory& memory) {
   const bool times = is_stamp(keyframe.utime) && is_stamp(memory.session_utime) && is_stamp(memory.newest_fix_utime);
   const bool numbers = is_pose(keyframe.p_W_B, keyframe.q_W_B) && is_place(memory.anchor) &&
                        estimate.state.x.allFinite() && estimate.state.p().norm() < kFarthest &&
-                       std::abs(estimate.state.log_scale()) < 1.0 && estimate.covariance.allFinite();
+                       std::abs(estimate.state.log_scale()) < 1.0 && estimate.covariance.allFinite() &&
+                       (keyframe.accel_bias.hasNaN() || is_accel_bias(keyframe.accel_bias));
   if (!counts || !times || !numbers || estimate.covariance.llt().info() != Eigen::Success) return false;
   memory_ = memory;
   return true;

@@ -100,6 +100,7 @@ class Fusion {
   bool try_relock();
   void lock(const std::vector<Sighting>& members);
   bool within_gate(const Sighting& sighting) const;
+  void add_tilt(const Sighting& sighting);
   void use(const Sighting& sighting);
   void look_at_rivals();
   void solve_and_watch_for_jump();
@@ -136,6 +137,7 @@ class Fusion {
   int confirming_ = 0;                                        // those of them that this very fusion has seen
   Eigen::Vector3d confirmed_from_ = Eigen::Vector3d::Zero();  // p_W_B of the first of them
   double confirmed_span_ = 0.0;                               // m from there to the furthest other
+  std::optional<Eigen::Vector3d> tilted_from_;                // p_W_B of the newest whose tilt is in the graph
   int num_fixes_ = 0;
   int64_t newest_fix_utime_ = 0;
   Estimate newest_;   // of the newest node

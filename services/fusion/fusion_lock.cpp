@@ -7,6 +7,7 @@
 #include <Eigen/Eigenvalues>
 
 #include "common/math/so3.h"
+#include "services/fusion/error_budget.h"
 #include "services/fusion/fusion.h"
 #include "services/fusion/plausible.h"
 
@@ -16,6 +17,8 @@ namespace {
 // Standard deviation of what nothing is known of: a position on the map, m, and a heading, rad.
 constexpr double kAnywhere = 1e4;
 constexpr double kAnyHeading = 1.0;
+// Share of a new measurement below which it waits for more: hovering, the same ground is seen for ever.
+constexpr double kNoNews = 1e-3;
 
 double yaw_from_heading(double heading) {
   return wrap_angle(0.5 * std::numbers::pi - heading);
@@ -34,13 +37,19 @@ std::optional<Eigen::Matrix3d> own_covariance(const Eigen::Matrix3d& covariance,
   return Eigen::Matrix3d(symmetric + options.stddev_floor * options.stddev_floor * Eigen::Matrix3d::Identity());
 }
 
+bool makes_sense(const Upright& upright) {
+  return upright.p_G_B.norm() < kLargestFixStddev && upright.lever.norm() < kFarthest &&
+         upright.tilt.norm() < kFarthest && upright.tilt_covariance.allFinite() &&
+         Eigen::LLT<Eigen::Matrix2d>(upright.tilt_covariance).info() == Eigen::Success;
+}
+
 }  // namespace
 
 std::optional<Sighting> Fusion::sight(const Fix& fix, Outcome& refused) const {
   refused = Outcome::kBadNumber;
   if (!is_place(fix.position) || !is_place(fix.anchor) || !std::isfinite(fix.heading)) return std::nullopt;
-  const auto covariance = own_covariance(fix.covariance, options_.fix);
-  if (!covariance) return std::nullopt;
+  const auto covariance = own_covariance(fix.upright ? fix.upright->covariance : fix.covariance, options_.fix);
+  if (!covariance || (fix.upright && !makes_sense(*fix.upright))) return std::nullopt;
   if (fix.session != session_) {
     refused = fix.session < session_ ? Outcome::kOldSession : Outcome::kUnknownKeyframe;
     return std::nullopt;
@@ -61,6 +70,7 @@ std::optional<Sighting> Fusion::sight(const Fix& fix, Outcome& refused) const {
   sighting.keyframe = keyframe;
   sighting.fix = fix;
   sighting.covariance = *covariance;
+  sighting.lever = fix.upright ? fix.upright->lever : lever_of_height(working_height(options_.edge, keyframe));
   sighting.scale_stddev = scale_stddev_at(keyframe);
   sighting.yaw_G_W = wrap_angle(yaw_from_heading(fix.heading) - yaw_from_heading(heading_of(keyframe.q_W_B)));
   const double stddev = fix.heading_stddev > 0.0 ? fix.heading_stddev : options_.compass.fix_stddev;
@@ -82,7 +92,7 @@ Outcome Fusion::add_fix(const Fix& fix) {
     return try_lock() ? Outcome::kLocked : Outcome::kWaiting;
   }
   if (!graph_->contains(fix.keyframe_id)) return Outcome::kTooLate;
-  sighting->p_G_B = frame_->to_enu(fix.position);
+  sighting->place_in(*frame_);
   if (!within_gate(*sighting)) {
     wait();
     return try_relock() ? Outcome::kRelocked : Outcome::kOutlier;
@@ -96,7 +106,7 @@ bool Fusion::try_lock() {
   // G is the newest fix's: another map may have been loaded since the older ones.
   const Geodetic& anchor = waiting_.back().fix.anchor;
   if (!frame_ || !same_place(frame_->anchor(), anchor)) frame_.emplace(anchor);
-  for (Sighting& sighting : waiting_) sighting.p_G_B = frame_->to_enu(sighting.fix.position);
+  for (Sighting& sighting : waiting_) sighting.place_in(*frame_);
   const GateOptions& gate = options_.gate;
   const auto consensus = find_consensus(waiting_, static_cast<size_t>(gate.lock_fixes), options_);
   if (!consensus || consensus->span < gate.lock_distance) return false;
@@ -135,8 +145,7 @@ void Fusion::look_at_rivals() {
   const Sighting& last = waiting_.back();
   const NodeState& there = graph_->state(last.keyframe.id);
   rival.p_G_B = last.p_G_B - there.p();  // as an offset: it is carried along with the newest node
-  rival.covariance = last.covariance;
-  rival.covariance.diagonal() += shared_stddev(options_, last.keyframe).cwiseAbs2();
+  rival.covariance = last.covariance + shared_covariance(options_, last.lever);
   rival_ = rival;
   rival_utime_ = last.fix.utime;
   rival_fixes_ = static_cast<int>(rivals->members.size());
@@ -153,12 +162,11 @@ void Fusion::lock(const std::vector<Sighting>& members) {
   guess.x.segment<3>(kPosition) = q_G_W * next->second.keyframe.p_W_B + placement.p_G_W;
   guess.x(kYaw) = placement.yaw_G_W;
   StateVector stddev;
-  const EdgeOptions& edge = options_.edge;
   const double scale_stddev = scale_stddev_at(next->second.keyframe);
   // The fixes' heading is the compass's, which has its own term in the graph.
   const double yaw_stddev = next->second.compass ? kAnyHeading : members.back().yaw_stddev;
-  stddev << kAnywhere, kAnywhere, kAnywhere, yaw_stddev, edge.tilt_stddev, edge.tilt_stddev, scale_stddev,
-      options_.compass.bias_stddev, shared_stddev(options_, next->second.keyframe);
+  stddev << kAnywhere, kAnywhere, kAnywhere, yaw_stddev, options_.edge.lean_stddev, options_.edge.lean_stddev,
+      scale_stddev, options_.compass.bias_stddev, shared_stddev(options_.fix);
   graph_ = std::make_unique<PoseGraph>(options_);
   graph_->start(next->second.keyframe, guess, stddev);
   for (;;) {
@@ -179,6 +187,7 @@ void Fusion::lock(const std::vector<Sighting>& members) {
   newest_fix_utime_ = 0;
   rival_.reset();
   rival_fixes_ = 0;
+  tilted_from_.reset();
   for (const Sighting& member : members) {
     if (graph_->contains(member.keyframe.id)) use(member);
   }
@@ -190,19 +199,31 @@ void Fusion::lock(const std::vector<Sighting>& members) {
 
 bool Fusion::within_gate(const Sighting& sighting) const {
   const Estimate estimate = graph_->estimate(sighting.keyframe.id);
-  const Eigen::Vector3d innovation = sighting.p_G_B - estimate.state.p() - estimate.state.shared();
-  const StateMatrix& P = estimate.covariance;
-  const Eigen::Matrix3d cross = P.block<3, 3>(kPosition, kShared);
-  const Eigen::Matrix3d covariance = P.block<3, 3>(kPosition, kPosition) + cross + cross.transpose() +
-                                     P.block<3, 3>(kShared, kShared) + sighting.covariance;
+  const PositionMeasurement measurement{sighting.p_G_B, Eigen::Matrix3d::Identity(), sighting.lever};
+  const Eigen::Vector3d innovation = residual(measurement, estimate.state);
+  const PositionRows J = position_jacobian(sighting.lever, estimate.state);
+  const Eigen::Matrix3d covariance = J * estimate.covariance * J.transpose() + sighting.covariance;
   const double limit = options_.gate.innovation * options_.gate.innovation;
   return innovation.dot(covariance.llt().solve(innovation)) < limit;
+}
+
+// The perspective of the same ground seen again is no news: of a constant error that is forgotten over some way, a
+// sample at that way's share from the last tells as much as one in coth(share / 2) would that errs by itself.
+void Fusion::add_tilt(const Sighting& sighting) {
+  if (!sighting.fix.upright) return;
+  const Eigen::Vector3d& p_W_B = sighting.keyframe.p_W_B;
+  const double forgotten = options_.fix.tilt_distance * working_height(options_.edge, sighting.keyframe);
+  const double news = tilted_from_ ? std::tanh(0.5 * (p_W_B - *tilted_from_).norm() / forgotten) : 1.0;
+  if (news < kNoNews) return;
+  tilted_from_ = p_W_B;
+  graph_->add_tilt(sighting.keyframe.id, sighting.fix.upright->tilt, sighting.fix.upright->tilt_covariance / news);
 }
 
 void Fusion::use(const Sighting& sighting) {
   const int id = sighting.keyframe.id;
   const Fix& fix = sighting.fix;
-  graph_->add_position(id, sighting.p_G_B, options_.fix.fixes_per_observation * sighting.covariance);
+  graph_->add_position(id, sighting.p_G_B, sighting.covariance, sighting.lever);
+  add_tilt(sighting);
   // So that neighbours that look at the same points do not count as if each looked at its own.
   const double shared = std::sqrt(static_cast<double>(std::max(1, fix.num_keyframes)));
   if (fix.heading_fitted && fix.heading_stddev > 0.0) {

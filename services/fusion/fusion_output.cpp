@@ -4,6 +4,7 @@
 #include <utility>
 
 #include "common/math/so3.h"
+#include "services/fusion/error_budget.h"
 #include "services/fusion/fusion.h"
 #include "services/fusion/plausible.h"
 
@@ -110,7 +111,8 @@ void Fusion::judge(Solution& solution, bool odometry, bool blind) {
 
 Solution Fusion::located(const OdometryState& state, Solution solution) {
   const Keyframe& keyframe = graph_->newest();
-  const NodeState& node = newest_.state;
+  NodeState node = newest_.state;
+  node.heading = yaw_of(state.q_W_B);  // the lean turns with the body
   const double scale = std::exp(node.log_scale());
   const Eigen::Quaterniond q_G_W = node.q_G_W();
   const Eigen::Vector3d moved = scale * (q_G_W * (state.p_W_B - keyframe.p_W_B));
@@ -212,7 +214,7 @@ void Fusion::start_bridge(const OdometryState& state) {
   bridge.state.x.segment<3>(kPosition) = inertial->p_G_B;
   // Both attitudes know the vertical: what turns one into the other is a yaw.
   bridge.state.x(kYaw) = yaw_of(inertial->q_G_B * state.q_W_B.conjugate());
-  bridge.state.x.segment<2>(kTilt).setZero();
+  bridge.state.x.segment<2>(kLean).setZero();
   bridge.state.x(kScale) = 0.0;
   bridge.covariance.diagonal().segment<3>(kPosition) = inertial->covariance.diagonal().head<3>();
   bridge.covariance(kYaw, kYaw) = inertial->covariance(8, 8);
@@ -224,15 +226,14 @@ void Fusion::start_bridge(const OdometryState& state) {
 void Fusion::try_bridge() {
   if (!bridge_ || waypoints_.empty() || graph_) return;
   const Keyframe& first = waypoints_.begin()->second.keyframe;
-  const EdgeOptions& edge = options_.edge;
   NodeState guess = bridge_->state;
   const Eigen::Vector3d back = guess.q_G_W() * (first.p_W_B - bridge_p_W_B_);
   guess.x.segment<3>(kPosition) += back;
   StateVector stddev = bridge_->covariance.diagonal().cwiseSqrt();
   stddev.segment<3>(kPosition).array() += scale_stddev_at(first) * back.norm();
-  stddev.segment<2>(kTilt).setConstant(edge.tilt_stddev);
+  stddev.segment<2>(kLean).setConstant(options_.edge.lean_stddev);
   stddev(kScale) = scale_stddev_at(first);
-  stddev.tail<3>() = shared_stddev(options_, first);
+  stddev.tail<3>() = shared_stddev(options_.fix);
   guess.x.tail<3>().setZero();
   // The wider, the more places lie within the gate of the first fix.
   to_confirm_ = stddev.segment<2>(kPosition).maxCoeff() > kWide ? 2 : 1;
@@ -241,7 +242,7 @@ void Fusion::try_bridge() {
   for (auto next = std::next(waypoints_.begin()); next != waypoints_.end(); ++next) append(next->second);
   graph_->solve();
   update_newest();
-  for (Sighting& sighting : waiting_) sighting.p_G_B = frame_->to_enu(sighting.fix.position);
+  for (Sighting& sighting : waiting_) sighting.place_in(*frame_);
   bridge_.reset();
 }
 

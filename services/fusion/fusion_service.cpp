@@ -67,6 +67,19 @@ nav_state_t message_of(const Solution& solution) {
   return nav;
 }
 
+// Nothing where the fix does not say: NaN, or zeros of a producer that does not know these fields.
+std::optional<Upright> upright_of(const map_fix_t& message) {
+  Upright upright;
+  upright.p_G_B = vector_of(message.upright_p_G_B) - vector_of(message.p_G_B);
+  upright.covariance = Eigen::Map<const RowMajor3>(message.upright_covariance);
+  upright.lever = Eigen::Map<const Eigen::Matrix<double, 3, 2, Eigen::RowMajor>>(message.upright_lever);
+  upright.tilt = Eigen::Map<const Eigen::Vector2d>(message.tilt);
+  upright.tilt_covariance = Eigen::Map<const Eigen::Matrix<double, 2, 2, Eigen::RowMajor>>(message.tilt_covariance);
+  const bool said = upright.p_G_B.allFinite() && upright.covariance.allFinite() && upright.lever.allFinite() &&
+                    upright.tilt.allFinite() && upright.tilt_covariance.trace() > 0.0;
+  return said ? std::optional(upright) : std::nullopt;
+}
+
 }  // namespace
 
 FusionService::FusionService(Node& node, const std::filesystem::path& config_folder, std::filesystem::path memory_file)
@@ -232,6 +245,7 @@ void FusionService::on_fix(const map_fix_t& message) {
   fix.scale = message.scale;
   fix.scale_stddev = message.scale_stddev;
   fix.num_keyframes = message.num_keyframes;
+  fix.upright = upright_of(message);
 
   const Stopwatch watch(node_);
   const Outcome outcome = fusion_.add_fix(fix);

@@ -5,9 +5,9 @@
 namespace orthonav::fusion {
 namespace {
 
-constexpr uint64_t kVersion = 0x6f6e61766d656d32;  // "onavmem2"
+constexpr uint64_t kVersion = 0x6f6e61766d656d33;  // "onavmem3"
 constexpr size_t kIntegers = 7;
-constexpr size_t kReals = 11 + kStates + kStates * kStates;
+constexpr size_t kReals = 14 + kStates + kStates * kStates;
 
 }  // namespace
 
@@ -20,6 +20,7 @@ bool write_memory(const std::filesystem::path& file, const Memory& memory) {
   for (const double value : keyframe.p_W_B) put(value);
   for (const double value : keyframe.q_W_B.coeffs()) put(value);
   put(keyframe.height_above_ground);
+  for (const double value : keyframe.accel_bias) put(value);
   for (const double value : {memory.anchor.latitude_deg, memory.anchor.longitude_deg, memory.anchor.height}) put(value);
   for (const double value : memory.estimate.state.x) put(value);
   for (const double value : memory.estimate.covariance.reshaped()) put(value);
@@ -43,6 +44,7 @@ std::optional<Memory> read_memory(const std::filesystem::path& file) {
   for (double& value : keyframe.p_W_B) value = take();
   for (double& value : keyframe.q_W_B.coeffs()) value = take();
   keyframe.height_above_ground = take();
+  for (double& value : keyframe.accel_bias) value = take();
   for (double* value : {&memory.anchor.latitude_deg, &memory.anchor.longitude_deg, &memory.anchor.height}) {
     *value = take();
   }

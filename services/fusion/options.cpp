@@ -21,8 +21,7 @@ void read_edge(ConfigNode node, EdgeOptions& edge) {
   node.read("default_height", edge.default_height, 1.0, 1e5);
   read_deg(node, "yaw_walk_deg", edge.yaw_walk, 90.0);
   node.read("use_odometry_covariance", edge.use_odometry_covariance);
-  read_deg(node, "tilt_stddev_deg", edge.tilt_stddev, 20.0);
-  node.read("tilt_time", edge.tilt_time, 0.1, 1e6);
+  read_deg(node, "lean_stddev_deg", edge.lean_stddev, 20.0);
   node.read("scale_stddev", edge.scale_stddev, 1e-5, 1.0);
   node.read("start_scale_stddev", edge.start_scale_stddev, 1e-5, 1.0);
   node.read("scale_time", edge.scale_time, 0.1, 1e6);
@@ -36,7 +35,7 @@ void read_fix(ConfigNode node, FixOptions& fix) {
   node.read("shared_distance", fix.shared_distance, 0.1, 1e6);
   node.read("shared_vertical_distance", fix.shared_vertical_distance, 0.1, 1e6);
   node.read("stddev_floor", fix.stddev_floor, 1e-3, 1000.0);
-  node.read("fixes_per_observation", fix.fixes_per_observation, 1, 100);
+  node.read("tilt_distance", fix.tilt_distance, 1e-3, 1e3);
   read_deg(node, "heading_stddev_floor_deg", fix.heading_stddev_floor, 180.0);
   node.read("scale_stddev_floor", fix.scale_stddev_floor, 0.0, 1.0);
   node.read("default_stddev", fix.default_stddev, 1e-3, 1000.0);
@@ -95,6 +94,7 @@ void read_aircraft(ConfigNode aircraft, FusionOptions& options) {
   imu.read("gravity", options.inertial.gravity, 9.0, 10.0);
   imu.read("accel_noise", options.inertial.accel_noise, 1e-9, 10.0);
   imu.read("gyro_noise", options.inertial.gyro_noise, 1e-9, 10.0);
+  imu.read("accel_walk", options.inertial.accel_walk, 1e-9, 10.0);
 }
 
 }  // namespace

@@ -11,8 +11,7 @@ struct EdgeOptions {
   double default_height = 150.0;        // m, where the height above ground is unknown
   double yaw_walk = 0.000122;           // rad per square root of a second
   bool use_odometry_covariance = true;  // in place of the above where the keyframe carries one, if it is larger
-  double tilt_stddev = 0.00297;         // rad, of W's "up"
-  double tilt_time = 60.0;              // s, over which the tilt forgets
+  double lean_stddev = 0.0087;          // rad per axis, of the odometry's vertical, before anything has told it
   double scale_stddev = 0.02;           // of the odometry's scale, as a fraction
   double start_scale_stddev = 0.1;      // the same at the start of a session, when it is not settled yet
   double scale_time = 600.0;            // s, over which it forgets
@@ -26,7 +25,7 @@ struct FixOptions {
   double shared_distance = 40.0;          // m of way over which it is forgotten, horizontally
   double shared_vertical_distance = 200;  // m, vertically
   double stddev_floor = 0.5;              // m per axis, added to what a fix says of itself
-  double fixes_per_observation = 3;       // so many neighbours count as one: they are made of the same points
+  double tilt_distance = 0.25;            // of the height: way over which what a fix's tilt errs by is forgotten
   double heading_stddev_floor =
       0.026;                         // rad, added to a fitted heading's own: neighbours err alike, towards the compass
   double scale_stddev_floor = 0.05;  // added to a fitted scale's own: all of a flight err alike by 1 %
@@ -69,6 +68,7 @@ struct InertialOptions {
   double gravity = 9.81;            // m/s^2; aircraft.yaml, imu
   double accel_noise = 2e-3;        // m/s^2/sqrt(Hz); aircraft.yaml, imu
   double gyro_noise = 1.7e-4;       // rad/s/sqrt(Hz); aircraft.yaml, imu
+  double accel_walk = 3e-3;         // m/s^3/sqrt(Hz), of the bias; aircraft.yaml, imu
   double accel_bias_stddev = 0.05;  // m/s^2, of the bias that the odometry gives
   double gyro_bias_stddev = 0.001;  // rad/s, of the bias that the odometry gives
   double max_gap = 0.05;            // s without a sample, beyond which the motion between is a guess: straight on,

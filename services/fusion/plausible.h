@@ -16,6 +16,8 @@ inline constexpr int kLargestIdGap = 1000;         // more keyframes are not los
 inline constexpr int kLargestSessionGap = 86'400;  // sessions are numbered by seconds: a day later is another flight
 inline constexpr double kLargestFixStddev = 1e4;   // m, of a fix that says anything
 
+inline constexpr double kLargestAccelBias = 10.0;  // m/s^2: as large as gravity it is no bias
+
 inline constexpr double kLargestHeading = 13.0;  // rad, two turns: of a compass
 
 inline double seconds_between(int64_t from, int64_t to) {
@@ -28,6 +30,11 @@ inline bool is_count(int number) {
 
 inline bool is_pose(const Eigen::Vector3d& p, const Eigen::Quaterniond& q) {
   return p.allFinite() && p.norm() < kFarthest && q.coeffs().allFinite() && std::abs(q.norm() - 1.0) < 1e-3;
+}
+
+// NaN is none.
+inline bool is_accel_bias(const Eigen::Vector3d& bias) {
+  return bias.norm() < kLargestAccelBias;
 }
 
 inline bool is_place(const Geodetic& place) {

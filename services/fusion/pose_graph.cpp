@@ -6,6 +6,9 @@
 
 #include <Eigen/Cholesky>
 
+#include "common/math/so3.h"
+#include "services/fusion/error_budget.h"
+
 namespace orthonav::fusion {
 namespace {
 
@@ -26,12 +29,6 @@ StateMatrix inverse(const StateMatrix& information) {
 double working_height(const EdgeOptions& edge, const Keyframe& keyframe) {
   const double height = keyframe.height_above_ground;
   return height >= 1.0 && height <= 1e5 ? height : edge.default_height;
-}
-
-Eigen::Vector3d shared_stddev(const FusionOptions& options, const Keyframe& keyframe) {
-  const double horizontal = std::hypot(options.fix.shared_horizontal_stddev,
-                                       options.edge.tilt_stddev * working_height(options.edge, keyframe));
-  return {horizontal, horizontal, options.fix.shared_vertical_stddev};
 }
 
 Transition transition_between(const FusionOptions& options, const Keyframe& from, const Keyframe& to,
@@ -61,11 +58,18 @@ Transition transition_between(const FusionOptions& options, const Keyframe& from
     transition.stddev(index) = stddev * std::sqrt(std::max(1e-9, -std::expm1(-2.0 * ratio)));
   };
   transition.stddev(kYaw) = std::sqrt(yaw_variance);
-  forget(kTilt, edge.tilt_stddev, duration / edge.tilt_time);
-  forget(kTilt + 1, edge.tilt_stddev, duration / edge.tilt_time);
+  // The accelerometer's bias walks; the odometry keeps up with it, so that the lean never becomes unlikelier than it
+  // was.
+  const double lean_walk = options.inertial.accel_walk / options.inertial.gravity / edge.lean_stddev;
+  forget(kLean, edge.lean_stddev, 0.5 * lean_walk * lean_walk * duration);
+  forget(kLean + 1, edge.lean_stddev, 0.5 * lean_walk * lean_walk * duration);
+  // What the odometry now takes for the bias it no longer takes for gravity.
+  const Eigen::Vector3d learnt =
+      Eigen::AngleAxisd(-yaw_of(to.q_W_B), Eigen::Vector3d::UnitZ()) * (to.q_W_B * (to.accel_bias - from.accel_bias));
+  if (learnt.allFinite()) transition.lean_change = Eigen::Vector2d(learnt.y(), -learnt.x()) / options.inertial.gravity;
   forget(kScale, edge.scale_stddev, duration / edge.scale_time);
   forget(kCompassBias, options.compass.bias_stddev, duration / options.compass.bias_time);
-  const Eigen::Vector3d shared = shared_stddev(options, to);
+  const Eigen::Vector3d shared = shared_stddev(options.fix);
   for (int axis = 0; axis < 3; ++axis) {
     forget(kShared + axis, shared(axis),
            distance / (axis < 2 ? options.fix.shared_distance : options.fix.shared_vertical_distance));
@@ -84,6 +88,7 @@ void PoseGraph::start(const Keyframe& keyframe, const Estimate& known) {
   Node& node = nodes_.emplace_back();
   node.keyframe = keyframe;
   node.state = known.state;
+  node.state.heading = yaw_of(keyframe.q_W_B);
   node.prior.emplace();
   node.prior->point = known.state;
   node.prior->cost.H = inverse(known.covariance);
@@ -100,12 +105,18 @@ void PoseGraph::append(const Keyframe& keyframe) {
   node.keyframe = keyframe;
   node.tie = transition_between(options_, before.keyframe, keyframe, before.state.q_G_W());
   node.state = predict(*node.tie, before.state);
+  node.state.heading = yaw_of(keyframe.q_W_B);
   nodes_.push_back(std::move(node));
   relinearise_from(std::min(stale_from_, nodes_.size() - 1));
 }
 
-void PoseGraph::add_position(int id, const Eigen::Vector3d& p_G_B, const Eigen::Matrix3d& covariance) {
-  measured(id).positions.push_back({p_G_B, sqrt_information(covariance)});
+void PoseGraph::add_position(int id, const Eigen::Vector3d& p_G_B, const Eigen::Matrix3d& covariance,
+                             const Lever& lever) {
+  measured(id).positions.push_back({p_G_B, sqrt_information(covariance), lever});
+}
+
+void PoseGraph::add_tilt(int id, const Eigen::Vector2d& tilt, const Eigen::Matrix2d& covariance) {
+  measured(id).tilts.push_back({tilt, sqrt_information(covariance)});
 }
 
 void PoseGraph::add_map_heading(int id, double heading, double stddev) {
@@ -198,6 +209,7 @@ Quadratic PoseGraph::own(const Node& node) const {
   }
   for (const ScaleMeasurement& scale : node.scales) sum += linearise(scale, node.state, options_.fix.huber);
   for (const PositionMeasurement& position : node.positions) sum += linearise(position, node.state, options_.fix.huber);
+  for (const TiltMeasurement& tilt : node.tilts) sum += linearise(tilt, node.state, options_.fix.huber);
   return sum;
 }
 

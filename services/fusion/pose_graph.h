@@ -32,10 +32,6 @@ struct Estimate {
 // Height that the odometry's errors grow with, m: it sees its way in pixels.
 double working_height(const EdgeOptions& edge, const Keyframe& keyframe);
 
-// 1 sigma of what neighbouring fixes are all off by at this keyframe, m in G: beside what the map has, a fix leans as
-// the odometry's vertical does, the further the higher.
-Eigen::Vector3d shared_stddev(const FusionOptions& options, const Keyframe& keyframe);
-
 // The motion between two keyframes as the graph sees it; `q_G_W` turns the odometry's covariance into G.
 Transition transition_between(const FusionOptions& options, const Keyframe& from, const Keyframe& to,
                               const Eigen::Quaterniond& q_G_W);
@@ -52,10 +48,13 @@ class PoseGraph {
   // id follows the newest node's. Ids and times must grow (std::invalid_argument).
   void append(const Keyframe& keyframe);
 
-  // What is measured at a node; std::out_of_range without that node. Of a fix: its position, with the covariance of
-  // what it does not share with its neighbours; the true heading of the body's x axis (clockwise from north) and the
-  // logarithm of the odometry's scale, where it fitted them. Of the compass: its heading, declination applied.
-  void add_position(int id, const Eigen::Vector3d& p_G_B, const Eigen::Matrix3d& covariance);
+  // What is measured at a node; std::out_of_range without that node. Of a fix: its position under the odometry's
+  // vertical, with the covariance of what it does not share with its neighbours and how it moves with the vertical; the
+  // tilt of that vertical (rad, about east and north), the true heading of the body's x axis (clockwise from north) and
+  // the logarithm of the odometry's scale, where it fitted them. Of the compass: its heading, declination applied.
+  void add_position(int id, const Eigen::Vector3d& p_G_B, const Eigen::Matrix3d& covariance,
+                    const Lever& lever = Lever::Zero());
+  void add_tilt(int id, const Eigen::Vector2d& tilt, const Eigen::Matrix2d& covariance);
   void add_map_heading(int id, double heading, double stddev);
   void add_scale(int id, double log_scale, double stddev);
   void add_compass(int id, double heading, double stddev);
@@ -88,6 +87,7 @@ class PoseGraph {
     std::vector<HeadingMeasurement> map_headings;  // of fixes
     std::vector<ScaleMeasurement> scales;
     std::vector<PositionMeasurement> positions;
+    std::vector<TiltMeasurement> tilts;
   };
 
   size_t index_of(int id) const;

@@ -6,6 +6,7 @@
 
 #include <cstdint>
 #include <limits>
+#include <optional>
 
 #include <Eigen/Core>
 #include <Eigen/Geometry>
@@ -38,8 +39,20 @@ struct Keyframe {
   Eigen::Vector3d p_W_B = Eigen::Vector3d::Zero();
   Eigen::Quaterniond q_W_B = Eigen::Quaterniond::Identity();
   double height_above_ground = kUnknown;  // m, of B over the tracked points; NaN: unknown
+  // m/s^2, in B, as the odometry has it by then; only its changes within a session matter.
+  Eigen::Vector3d accel_bias = Eigen::Vector3d::Constant(kUnknown);  // NaN: unknown
   // Of the pose relative to keyframe id - 1: (position in the previous B, rotation vector in this B); NaN: unknown.
   Matrix6d relative_covariance = Matrix6d::Constant(kUnknown);
+};
+
+// How a fix depends on the vertical that it was found under: what it would be under the odometry's own, and what the
+// perspective of the map's points says of that. All in G; tilts are rotation vectors about east and north, rad.
+struct Upright {
+  Eigen::Vector3d p_G_B = Eigen::Vector3d::Zero();                          // m, less the fix's position
+  Eigen::Matrix3d covariance = Eigen::Matrix3d::Zero();                     // m^2, of the matches alone
+  Eigen::Matrix<double, 3, 2> lever = Eigen::Matrix<double, 3, 2>::Zero();  // m/rad: a true tilt moves p_G_B so far
+  Eigen::Vector2d tilt = Eigen::Vector2d::Zero();  // R_G_B = Exp(tilt) R_odometry, by the matches alone
+  Eigen::Matrix2d tilt_covariance = Eigen::Matrix2d::Zero();
 };
 
 // The position of a keyframe found on the map.
@@ -56,6 +69,7 @@ struct Fix {
   double scale = kUnknown;           // true displacement over the odometry's, fitted to the map; NaN: it was not
   double scale_stddev = kUnknown;
   int num_keyframes = 1;  // whose points it matched: so many neighbouring fixes share most of their evidence
+  std::optional<Upright> upright;
 };
 
 // A reading of the compass.

@@ -72,6 +72,12 @@ void fill_fix(const Fix& fix, const EnuFrame& frame, map_fix_t& out) {
   out.log_likelihood_ratio = fix.log_likelihood_ratio;
   out.search_radius = fix.search_radius;
   out.num_keyframes = fix.num_keyframes;
+  const Upright upright = fix.valid ? fix.upright : Upright();
+  Eigen::Map<Eigen::Vector3d>(out.upright_p_G_B) = upright.p_G_B;
+  Eigen::Map<Eigen::Matrix<double, 3, 3, Eigen::RowMajor>>(out.upright_covariance) = upright.covariance;
+  Eigen::Map<Eigen::Matrix<double, 3, 2, Eigen::RowMajor>>(out.upright_lever) = upright.lever;
+  Eigen::Map<Eigen::Vector2d>(out.tilt) = upright.tilt;
+  Eigen::Map<Eigen::Matrix<double, 2, 2, Eigen::RowMajor>>(out.tilt_covariance) = upright.tilt_covariance;
   out.matches.clear();
   for (const Pair& pair : fix.pairs) {
     map_match_t match{};

@@ -227,6 +227,38 @@ PlaceFit fit_place(const std::vector<const View*>& views, const MapIndex& index,
   return fit;
 }
 
+namespace {
+
+using Matrix7d = Eigen::Matrix<double, 7, 7>;
+
+// What a fit of (position, turn in G, log scale) is without its prior on the turn's first two, the tilt from the
+// odometry's vertical. It ended at `p_G_B` and `tilt` (rad, about east and north). `information` holds that prior,
+// `tilt_information` times the identity, and `of_matches`, which the matches' errors make too small by `errors` and,
+// where they tell the tilt, too large by 1 / `tilt_errors`; they show `followed` of a true tilt.
+Upright upright_of(const Eigen::Vector3d& p_G_B, const Eigen::Vector2d& tilt, const Matrix7d& information,
+                   const Matrix7d& of_matches, double tilt_information, double errors, double tilt_errors,
+                   double followed) {
+  const std::array<int, 5> rest{0, 1, 2, 5, 6};
+  const std::array<int, 2> tilts{3, 4};
+  using Matrix5d = Eigen::Matrix<double, 5, 5>;
+  const Matrix5d inverse = Matrix5d(information(rest, rest)).inverse();
+  const Eigen::Matrix<double, 5, 2> coupling = information(rest, tilts);
+  const Eigen::Matrix<double, 5, 2> follows = inverse * coupling;  // the rest moves by -this with the tilt
+  const Eigen::Matrix2d with_prior = Eigen::Matrix2d(information(tilts, tilts)) - coupling.transpose() * follows;
+  // A thousandth of the prior stays: matches that say nothing of the tilt leave it finite.
+  const Eigen::Matrix2d of_tilt = with_prior - 0.999 * tilt_information * Eigen::Matrix2d::Identity();
+  Upright upright;
+  upright.lever = follows.topRows<3>();
+  upright.p_G_B = p_G_B + upright.lever * tilt;
+  const Matrix5d noise = information(rest, rest) - (1 - errors) * of_matches(rest, rest);
+  upright.covariance = (inverse * noise * inverse).topLeftCorner<3, 3>();
+  upright.tilt = of_tilt.inverse() * (with_prior * tilt) / followed;
+  upright.tilt_covariance = tilt_errors * of_tilt.inverse() / (followed * followed);
+  return upright;
+}
+
+}  // namespace
+
 FittedPose fit_pose(const std::vector<const View*>& views, const PlaceFit& fit, const Alignment& prior,
                     const FitOptions& options, GroundLevel& ground) {
   FittedPose result;
@@ -274,7 +306,12 @@ FittedPose fit_pose(const std::vector<const View*>& views, const PlaceFit& fit, 
   Eigen::Matrix3d R_G_W = Eigen::AngleAxisd(newest.yaw + fit.alignment.turn, Eigen::Vector3d::UnitZ()).matrix();
   const Eigen::Matrix3d R_prior = Eigen::AngleAxisd(newest.yaw + prior.turn, Eigen::Vector3d::UnitZ()).matrix();
   double log_scale = std::log(fit.alignment.scale);
-  Eigen::Matrix<double, 7, 7> information, of_matches;
+  Matrix7d information, of_matches;
+  // What matches err by together shifts or turns them all; it tilts nothing. Where they tell the tilt they count more,
+  // or else its prior as much less.
+  const double tilt_errors =
+      options.matches_per_tilt / (options.matches_per_observation * static_cast<double>(views.size()));
+  const double tilt_information = tilt_errors / (options.tilt_stddev * options.tilt_stddev);
   const double width = std::max(0.5, 2 * fit.rms);
   for (int iteration = 0; iteration < 6; ++iteration) {
     information.setZero();
@@ -312,8 +349,8 @@ FittedPose fit_pose(const std::vector<const View*>& views, const PlaceFit& fit, 
     };
     using Row = Eigen::Matrix<double, 7, 1>;
     const Eigen::Vector3d turned = so3_log(Eigen::Quaterniond(R_G_W * R_prior.transpose()));
-    add_prior(Row::Unit(3), turned.x(), options.tilt_stddev);
-    add_prior(Row::Unit(4), turned.y(), options.tilt_stddev);
+    add_prior(Row::Unit(3), turned.x(), 1 / std::sqrt(tilt_information));
+    add_prior(Row::Unit(4), turned.y(), 1 / std::sqrt(tilt_information));
     add_prior(Row::Unit(5), turned.z(), options.heading_stddev);
     add_prior(Row::Unit(6), log_scale - std::log(prior.scale), options.scale_stddev);
     // The body is above the ground by what the odometry says, scaled.
@@ -328,21 +365,32 @@ FittedPose fit_pose(const std::vector<const View*>& views, const PlaceFit& fit, 
     log_scale += step(6);
     if (step.head<3>().norm() + step.tail<4>().norm() * mean_drop < kConverged) break;
   }
-  const Eigen::Matrix<double, 7, 7> inverse = information.inverse();
+  const Matrix7d inverse = information.inverse();
   // The fit weighs matches as if those of other keyframes erred by the same, and is better for it (medians of `rural`
   // 1.05 m, 1.10 m with twice the weight); they do not, and what it says of itself is put right by that.
   const double errors = 1 / static_cast<double>(views.size());
-  const Eigen::Matrix<double, 7, 7> covariance = inverse * (information - (1 - errors) * of_matches) * inverse;
+  const Matrix7d covariance = inverse * (information - (1 - errors) * of_matches) * inverse;
   if (!covariance.allFinite()) return result;
-  result.p_G_B = p_G_B;
-  result.q_G_B = Eigen::Quaterniond(R_G_W * keyframe.q_W_B.toRotationMatrix()).normalized();
-  result.covariance = covariance.topLeftCorner<3, 3>();
+  const Eigen::Vector3d turned = so3_log(Eigen::Quaterniond(R_G_W * R_prior.transpose()));
+  Upright& upright = result.upright;
+  upright = upright_of(p_G_B, turned.head<2>(), information, of_matches, tilt_information, errors, tilt_errors,
+                       options.tilt_followed);
+  upright.covariance(2, 2) += std::pow(options.common_stddev * mean_drop, 2) + std::pow(ground.hidden_stddev(), 2);
+  // The matches' word on the vertical, weighed against the odometry's.
+  const Eigen::Matrix2d of_tilt = upright.tilt_covariance.inverse();
+  const Eigen::Matrix2d tilt_covariance =
+      (of_tilt + Eigen::Matrix2d::Identity() / (options.tilt_stddev * options.tilt_stddev)).inverse();
+  const Eigen::Vector2d tilt = tilt_covariance * (of_tilt * upright.tilt);
+  Eigen::Vector3d correction = Eigen::Vector3d::Zero();
+  correction.head<2>() = tilt - turned.head<2>();
+  result.p_G_B = upright.p_G_B - upright.lever * tilt;
+  result.q_G_B = Eigen::Quaterniond(so3_exp(correction).toRotationMatrix() * R_G_W * keyframe.q_W_B.toRotationMatrix())
+                     .normalized();
+  result.covariance = upright.covariance + upright.lever * tilt_covariance * upright.lever.transpose();
   result.covariance.topLeftCorner<2, 2>() += options.map_stddev * options.map_stddev * Eigen::Matrix2d::Identity();
   result.scale = std::exp(log_scale);
-  result.covariance(2, 2) += std::pow(options.common_stddev * mean_drop, 2);
-  result.covariance(2, 2) += ground.hidden_stddev() * ground.hidden_stddev();
   result.scale_stddev = result.scale * std::hypot(std::sqrt(covariance(6, 6)), options.common_stddev);
-  result.yaw = wrap_angle(newest.yaw + prior.turn + so3_log(Eigen::Quaterniond(R_G_W * R_prior.transpose())).z());
+  result.yaw = wrap_angle(newest.yaw + prior.turn + turned.z());
   result.yaw_stddev = std::hypot(std::sqrt(covariance(5, 5)), options.common_stddev);
   result.ok = true;
   return result;

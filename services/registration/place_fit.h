@@ -13,6 +13,7 @@
 #include <Eigen/Core>
 #include <Eigen/Geometry>
 
+#include "services/registration/fix.h"
 #include "services/registration/ground_level.h"
 #include "services/registration/map_index.h"
 #include "services/registration/place_search.h"
@@ -21,10 +22,12 @@
 namespace orthonav::registration {
 
 struct FitOptions {
-  double heading_stddev = 0.05;         // rad, of the compass
-  double scale_stddev = 0.025;          // of the odometry
-  double tilt_stddev = 0.003;           // rad per axis, of the odometry's vertical
-  double map_stddev = 0.35;             // m, each of east and north: georeferencing error of the map (0.5 in the plane)
+  double heading_stddev = 0.05;  // rad, of the compass
+  double scale_stddev = 0.025;   // of the odometry
+  double tilt_stddev = 0.0052;   // rad per axis, of the odometry's vertical
+  double matches_per_tilt = 16;  // so many matches count as one where their perspective tells the tilt
+  double tilt_followed = 0.4;    // of a true tilt, what matches show that were aligned where the odometry's put them
+  double map_stddev = 0.35;      // m, each of east and north: georeferencing error of the map (0.5 in the plane)
   double ground_height_stddev = 0.7;    // m, of the map's heights, averaged along the way
   double matches_per_observation = 30;  // so many matches of a keyframe count as one, and so do those of the same point
   // What all matches err by together, in scale and turn (rad): a patch described under others fits best where they put
@@ -67,6 +70,7 @@ struct FittedPose {
   Eigen::Matrix3d covariance = Eigen::Matrix3d::Zero();  // m^2
   double scale = 1, scale_stddev = 0;
   double yaw = 0, yaw_stddev = 0;  // rad, of W in G
+  Upright upright;
 };
 
 // What the views before the newest say of the height over the map's ground, all their points put where the fit has

@@ -89,6 +89,8 @@ SubmapOptions SubmapOptions::from_config(ConfigNode& node) {
   submap.read("map_stddev", options.fit.map_stddev, 0, 100);
   submap.read("ground_height_stddev", options.fit.ground_height_stddev, 1e-3, 1000);
   submap.read("matches_per_observation", options.fit.matches_per_observation, 1, 1000);
+  submap.read("matches_per_tilt", options.fit.matches_per_tilt, 1, 1000);
+  submap.read("tilt_followed", options.fit.tilt_followed, 0.01, 1);
   submap.finish();
   return options;
 }
@@ -558,10 +560,12 @@ Fix SubmapRegistrar::solve() {
     fix.p_G_B = pose.p_G_B;
     fix.q_G_B = pose.q_G_B;
     fix.covariance = pose.covariance;
+    fix.upright = pose.upright;
     // The fewer stay, the more it is the submap that says where, to within its cells.
     const double of_the_submap = std::max(0.0, 1 - aligned_share(best) / kSureShare);
-    fix.covariance.topLeftCorner<2, 2>() +=
-        of_the_submap * submap_give() * submap_give() / 3 * Eigen::Matrix2d::Identity();
+    const double give = of_the_submap * submap_give() * submap_give() / 3;
+    fix.covariance.topLeftCorner<2, 2>() += give * Eigen::Matrix2d::Identity();
+    fix.upright.covariance.topLeftCorner<2, 2>() += give * Eigen::Matrix2d::Identity();
     fix.scale = pose.scale;
     fix.scale_stddev = pose.scale_stddev;
     fix.heading_correction = wrap_angle(odometry_heading - yaw - heading_.value);

@@ -83,9 +83,9 @@ int main(int argc, char** argv) {
   model.scale_stddev = options.edge.scale_stddev;
   model.scale_time = options.edge.scale_time;
   model.scale_walk = 0.0;
-  model.tilt_stddev = options.edge.tilt_stddev;
+  model.lean_stddev = options.edge.lean_stddev;
   model.compass_noise = options.compass.noise_stddev;
-  model.fix_shared_stddev = std::hypot(options.fix.shared_horizontal_stddev, options.edge.tilt_stddev * model.height);
+  model.fix_shared_stddev = options.fix.shared_horizontal_stddev;
   model.fix_shared_vertical_stddev = options.fix.shared_vertical_stddev;
   model.fix_shared_distance = options.fix.shared_distance;
   const std::vector<std::pair<std::string, SyntheticOptions>> kinds{

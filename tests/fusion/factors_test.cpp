@@ -13,6 +13,7 @@ namespace {
 NodeState some_node(double k) {
   NodeState node;
   node.x << 10.0 * k, -4.0 + k, 110.0, 1.0 + 0.3 * k, 0.01 * k, -0.02, 0.02 * k, 0.1, 0.5, -0.3 * k, 1.0;
+  node.heading = 0.7 - 2.0 * k;
   return node;
 }
 
@@ -56,6 +57,33 @@ TEST(FusionFactors, RotationJacobianMatchesFiniteDifferences) {
   }
 }
 
+TEST(FusionFactors, TheLeanTurnsWithTheBody) {
+  // Leaning by 10 mrad about its own left axis, nose down, the body does so whatever its heading.
+  for (const double heading : {0.0, 1.0, -2.5}) {
+    NodeState node;
+    node.x(kYaw) = 0.4;
+    node.x(kLean + 1) = 0.01;
+    node.heading = heading;
+    const Eigen::Quaterniond q_W_B(Eigen::AngleAxisd(heading, Eigen::Vector3d::UnitZ()));
+    const Eigen::Vector3d nose = node.q_G_W() * q_W_B * Eigen::Vector3d::UnitX();
+    EXPECT_NEAR(nose.z(), -std::sin(0.01), 1e-12) << heading;
+    EXPECT_NEAR(yaw_of(node.q_G_W() * q_W_B), 0.4 + heading, 1e-12) << heading;
+    const Eigen::Vector3d rotation = so3_log(node.q_G_W() * Eigen::AngleAxisd(-0.4, Eigen::Vector3d::UnitZ()));
+    EXPECT_LT((rotation.head<2>() - node.tilt()).norm(), 1e-12) << heading;
+  }
+}
+
+TEST(FusionFactors, TiltJacobianMatchesFiniteDifferences) {
+  const NodeState node = some_node(1.0);
+  const Eigen::Matrix<double, 2, 3> J = tilt_jacobian(node);
+  for (int k = 0; k < 3; ++k) {
+    NodeState ahead = node, behind = node;
+    ahead.x(kYaw + k) += 1e-6;
+    behind.x(kYaw + k) -= 1e-6;
+    EXPECT_LT((J.col(k) - (ahead.tilt() - behind.tilt()) / 2e-6).norm(), 1e-8) << k;
+  }
+}
+
 TEST(FusionFactors, TransitionLinearisesItsResidual) {
   const Transition transition = some_transition();
   const NodeState i = some_node(1.0), j = some_node(1.2);
@@ -88,6 +116,47 @@ TEST(FusionFactors, TheMeasuredMotionWithTheNodesScaleLeavesNoResidual) {
   EXPECT_LT(residual(transition, i, predict(transition, i)).norm(), 1e-9);
   const Eigen::Vector3d moved = predict(transition, i).p() - i.p();
   EXPECT_NEAR(moved.norm(), std::exp(i.log_scale()) * transition.dp_W.norm(), 1e-12);
+}
+
+// Gradient and Gauss-Newton's Hessian of a measurement against the residual's own differences.
+template <typename Measurement>
+void expect_linearised(const Measurement& measurement, const NodeState& node) {
+  const Quadratic cost = linearise(measurement, node, 1e9);
+  expect_close(
+      cost.b, numeric_gradient([&](const NodeState& n) { return 0.5 * residual(measurement, n).squaredNorm(); }, node));
+  Eigen::Matrix<double, Eigen::Dynamic, kStates> J(residual(measurement, node).size(), kStates);
+  for (int k = 0; k < kStates; ++k) {
+    NodeState ahead = node, behind = node;
+    ahead.x(k) += 1e-6;
+    behind.x(k) -= 1e-6;
+    J.col(k) = (residual(measurement, ahead) - residual(measurement, behind)) / 2e-6;
+  }
+  expect_close(cost.H, J.transpose() * J);
+}
+
+Lever some_lever() {
+  Lever lever;
+  lever << 3.0, -270.0, 290.0, -5.0, 20.0, 12.0;
+  return lever;
+}
+
+TEST(FusionFactors, ALeaningFixIsPutUpright) {
+  const NodeState node = some_node(1.0);
+  const Eigen::Vector3d error(1.0, -2.0, 3.0);
+  const PositionMeasurement measurement{node.p() + node.shared() + some_lever() * node.tilt() - error,
+                                        Eigen::Matrix3d::Identity(), some_lever()};
+  EXPECT_LT((residual(measurement, node) - error).norm(), 1e-9);
+  expect_linearised(measurement, node);
+}
+
+TEST(FusionFactors, TheTiltSeenInTheMapIsThatOfTheBody) {
+  Eigen::Matrix2d covariance;
+  covariance << 4e-4, 1e-4, 1e-4, 2e-4;
+  const NodeState node = some_node(1.0);
+  const Eigen::Vector2d error(0.01, -0.02);
+  const TiltMeasurement measurement{node.tilt() - error, sqrt_information(covariance)};
+  EXPECT_NEAR(residual(measurement, node).squaredNorm(), error.dot(covariance.inverse() * error), 1e-9);
+  expect_linearised(measurement, node);
 }
 
 TEST(FusionFactors, PositionIsWhitenedAndTakesTheSharedError) {

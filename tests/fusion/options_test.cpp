@@ -51,13 +51,14 @@ TEST(FusionOptions, TheShippedDefaultsAreThoseOfTheCode) {
   const FusionOptions code;
   EXPECT_NEAR(file.edge.position_walk, code.edge.position_walk, 1e-9);
   EXPECT_NEAR(file.edge.yaw_walk, code.edge.yaw_walk, 2e-6);
+  EXPECT_NEAR(file.edge.lean_stddev, code.edge.lean_stddev, 5e-5);
   EXPECT_NEAR(file.edge.scale_stddev, code.edge.scale_stddev, 1e-9);
   EXPECT_NEAR(file.edge.velocity_stddev, code.edge.velocity_stddev, 1e-9);
   EXPECT_NEAR(file.fix.shared_horizontal_stddev, code.fix.shared_horizontal_stddev, 1e-9);
   EXPECT_NEAR(file.fix.shared_vertical_stddev, code.fix.shared_vertical_stddev, 1e-9);
   EXPECT_NEAR(file.fix.shared_distance, code.fix.shared_distance, 1e-9);
   EXPECT_NEAR(file.fix.shared_vertical_distance, code.fix.shared_vertical_distance, 1e-9);
-  EXPECT_NEAR(file.fix.fixes_per_observation, code.fix.fixes_per_observation, 1e-9);
+  EXPECT_NEAR(file.fix.tilt_distance, code.fix.tilt_distance, 1e-9);
   EXPECT_NEAR(file.compass.bias_stddev, code.compass.bias_stddev, 3e-3);
   EXPECT_EQ(file.gate.lock_fixes, code.gate.lock_fixes);
   EXPECT_NEAR(file.gate.lock_distance, code.gate.lock_distance, 1e-9);

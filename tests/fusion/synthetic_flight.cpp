@@ -6,6 +6,7 @@
 
 #include "common/geo/enu_frame.h"
 #include "common/math/so3.h"
+#include "services/fusion/error_budget.h"
 
 namespace orthonav::fusion {
 namespace {
@@ -67,7 +68,7 @@ SyntheticFlight make_flight(const SyntheticOptions& options, uint64_t seed) {
   double heading_error = 0.0;
   double log_scale = dice.normal(options.scale_stddev);  // odometry = truth * exp(-log_scale)
   const double heading_bias = dice.normal(options.heading_bias_stddev);
-  Eigen::Vector3d tilt = noise.normal3(options.tilt_stddev, 0.0);
+  Eigen::Vector3d wandering = noise.normal3(options.lean_stddev, 0.0);
   const Eigen::Vector3d gyro_bias = noise.normal3(0.01, 0.01);
   const Eigen::Vector3d accel_bias = noise.normal3(0.05, 0.05);
   const Eigen::Vector3d accel_bias_error = noise.normal3(0.02, 0.02);
@@ -92,8 +93,10 @@ SyntheticFlight make_flight(const SyntheticOptions& options, uint64_t seed) {
     const double t = kStep * static_cast<double>(k);
     const Eigen::Vector3d velocity = path.velocity(t);
     const Eigen::Quaterniond q_G_B = path.attitude(t);
-    const Eigen::Quaterniond q_W_G =
-        so3_exp(tilt) * Eigen::AngleAxisd(yaw_W_G + heading_error, Eigen::Vector3d::UnitZ());
+    const Eigen::Vector3d lean = wandering + Eigen::Vector3d(options.lean.x(), options.lean.y(), 0.0);
+    const Eigen::AngleAxisd heading(yaw_of(q_G_B), Eigen::Vector3d::UnitZ());
+    const Eigen::Quaterniond q_W_G = Eigen::AngleAxisd(yaw_W_G + heading_error, Eigen::Vector3d::UnitZ()) * heading *
+                                     so3_exp(-lean) * heading.inverse();
     if (k > 0) {
       const Eigen::Vector3d moved = 0.5 * kStep * (velocity + path.velocity(t - kStep));
       p_G_B += moved;
@@ -164,12 +167,20 @@ SyntheticFlight make_flight(const SyntheticOptions& options, uint64_t seed) {
         fix.utime = utime;
         fix.session = 1;
         fix.keyframe_id = keyframe.id;
-        fix.position =
-            frame.to_geodetic(p_G_B + offset + shared + dice.normal3(options.fix_stddev, options.fix_vertical_stddev));
+        const Eigen::Vector2d tilt = (heading * lean).head<2>();
+        const Lever lever = lever_of_height(p_G_B.z());
+        fix.position = frame.to_geodetic(p_G_B + lever * tilt + offset + shared +
+                                         dice.normal3(options.fix_stddev, options.fix_vertical_stddev));
         fix.anchor = flight.anchor;
         fix.covariance = Eigen::Vector3d(options.fix_stddev, options.fix_stddev, options.fix_vertical_stddev)
                              .cwiseAbs2()
                              .asDiagonal();
+        if (std::isfinite(options.perspective_stddev)) {
+          const double variance = options.perspective_stddev * options.perspective_stddev;
+          const Eigen::Vector3d error = noise.normal3(options.perspective_stddev, 0.0);
+          fix.upright = Upright{Eigen::Vector3d::Zero(), fix.covariance, lever, tilt + error.head<2>(),
+                                variance * Eigen::Matrix2d::Identity()};
+        }
         fix.heading = heading_of(q_G_B) + heading_bias + dice.normal(0.01);
         fix.heading_stddev = 0.06;
         waiting.push_back({flight.fixes.size(), index + static_cast<size_t>(options.fix_delay)});
@@ -181,9 +192,10 @@ SyntheticFlight make_flight(const SyntheticOptions& options, uint64_t seed) {
         waiting.erase(waiting.begin());
       }
     }
-    // Tilt and scale wander about zero.
-    const double keep_tilt = std::exp(-kStep / 60.0);
-    tilt = keep_tilt * tilt + noise.normal3(options.tilt_stddev, 0.0) * std::sqrt(1.0 - keep_tilt * keep_tilt);
+    // Lean and scale wander about zero.
+    const double keep_lean = std::exp(-kStep / 60.0);
+    wandering =
+        keep_lean * wandering + noise.normal3(options.lean_stddev, 0.0) * std::sqrt(1.0 - keep_lean * keep_lean);
     heading_error += dice.normal(options.heading_walk * std::sqrt(kStep));
     const double keep_scale = std::exp(-kStep / options.scale_time);
     log_scale = keep_scale * log_scale + dice.normal(options.scale_walk * std::sqrt(kStep)) +

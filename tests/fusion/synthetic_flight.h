@@ -35,9 +35,13 @@ struct SyntheticOptions {
   int fix_delay = 2;                // keyframes between a keyframe and its fix
   double fix_shared_vertical_stddev = 1.0;
   double fix_shared_distance = 40.0;  // m of way over which it is forgotten
-  double tilt_stddev = 0.0;           // rad, of the odometry's "up", correlated over 60 s
-  double compass_noise = 0.017;       // rad, white; the bias is the fixes' heading's
-  bool imu = false;                   // 200 Hz samples, with constant biases that the odometry knows to 0.02 m/s^2
+  // Of the odometry's vertical, in the body's levelled axes, rad: a constant part, and one correlated over 60 s. Fixes
+  // lean with it.
+  Eigen::Vector2d lean = Eigen::Vector2d::Zero();
+  double lean_stddev = 0.0;
+  double perspective_stddev = kUnknown;  // rad, of the tilt that fixes tell; NaN: they do not
+  double compass_noise = 0.017;          // rad, white; the bias is the fixes' heading's
+  bool imu = false;                      // 200 Hz samples, with constant biases that the odometry knows to 0.02 m/s^2
 };
 
 struct SyntheticFlight {
