@@ -6,9 +6,9 @@
 // moved by a percent, it was "known" to a tenth of one. So the prior goes along with the estimate (follow), and what it
 // knows along those directions, which is what gravity and accelerations told, stays what it was. All other terms of the
 // window are linearised where the estimate is. An observability constraint as of Hesch et al. (TRO 2014), put on the
-// prior alone. Measured with vio_monte_carlo, squared error of the scale over its variance 2, 5 and 20 s after the
-// start: first-estimate Jacobians for what is in the prior and current ones for the rest 7, 73 and 0.4 (a sensor ten
-// times as noisy: sessions lost); current ones everywhere 7, 13 and 36; so 5, 3 and 2.
+// prior alone. Squared error of the scale over its variance, 2, 5 and 20 s after the start (vio_monte_carlo, solved to
+// convergence): first-estimate Jacobians for what is in the prior and current ones for the rest 204, 205 and 46
+// (`cruise15`); current ones everywhere 7, 13 and 36, so 5, 3 and 2 (`consumer`).
 //
 // Not thread-safe.
 #pragma once
