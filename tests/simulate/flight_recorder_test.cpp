@@ -92,6 +92,45 @@ TEST_F(Recording, IsALogOfAllSensorsInTimeOrder) {
   EXPECT_EQ(count[channel::kAltitude], 0);
 }
 
+TEST_F(Recording, LosesImagesAndLeavesTheOthersAsTheyWere) {
+  const auto images = [&](const std::string& name) {
+    record(name, 1, 2);
+    std::map<int64_t, std::vector<uint8_t>> all;
+    LogReader reader(folder_ / name);
+    while (const auto event = reader.next()) {
+      if (event->channel == channel::kCamera) all[event->utime] = event->decode<image_t>()->data;
+    }
+    return all;
+  };
+  const auto whole = images("whole.lcm");
+  scenario_.sensors.camera.dropped = 0.4;
+  const auto some = images("some.lcm");
+  EXPECT_LT(some.size(), whole.size());
+  EXPECT_FALSE(some.empty());
+  for (const auto& [utime, data] : some) {
+    ASSERT_EQ(whole.count(utime), 1U);
+    EXPECT_TRUE(whole.at(utime) == data);
+  }
+}
+
+TEST_F(Recording, ReadsARollingShutterRowByRow) {
+  record("global.lcm", 1, 2);
+  scenario_.camera_effects.readout_ms = 30;
+  record("rolling.lcm", 1, 2);
+  const auto first_image = [&](const std::string& name) {
+    LogReader reader(folder_ / name);
+    while (auto event = reader.next()) {
+      if (event->channel == channel::kCamera) return decode_image(*event->decode<image_t>(), 640, 480).grey;
+    }
+    return cv::Mat();
+  };
+  cv::Mat difference;
+  cv::absdiff(first_image("global.lcm"), first_image("rolling.lcm"), difference);
+  EXPECT_LT(cv::mean(difference.rowRange(236, 244))[0], 0.5) << "the middle row is of the image's time";
+  EXPECT_GT(cv::mean(difference.rowRange(0, 8))[0], 2 * cv::mean(difference.rowRange(236, 244))[0]);
+  EXPECT_GT(cv::mean(difference.rowRange(472, 480))[0], 2 * cv::mean(difference.rowRange(236, 244))[0]);
+}
+
 TEST_F(Recording, WritesTheSameFlightAsAnAslFolder) {
   record("flight.lcm", 1, 2, "asl");
   const auto root = folder_ / "asl" / "mav0";
