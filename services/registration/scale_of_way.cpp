@@ -11,8 +11,9 @@ namespace {
 // What the place of one keyframe errs by, each of east and north: the map's warp, m, and the odometry's vertical, rad,
 // times the height; and of the way to it, what the odometry's changes of scale and heading make of it.
 constexpr double kWarpStddev = 0.5, kVerticalStddev = 0.007, kWayStddev = 0.01;
-// Standard deviations within which a keyframe has to be found, and how many in a row may not be.
-constexpr double kGate = 3;
+// Standard deviations within which a keyframe has to be found, for a scale that changed bends the way slowly, and how
+// many in a row may not be; and within which all of them have to agree with what the newest show.
+constexpr double kGate = 2, kAgree = 3;
 constexpr int kMostMissing = 1;
 
 }  // namespace
@@ -57,7 +58,10 @@ std::optional<ScaleBelief> scale_of_way(const std::vector<const View*>& views, s
   const double before = 1 / (scale.stddev * scale.stddev), after = 1 / covariance(3, 3);
   if (!(after > 2 * before)) return std::nullopt;
   const double log_scale = std::log(fit.alignment.scale) + state(3);
-  return ScaleBelief{(after * log_scale - before * scale.log_scale) / (after - before), 1 / std::sqrt(after - before)};
+  const ScaleBelief way{(after * log_scale - before * scale.log_scale) / (after - before),
+                        1 / std::sqrt(after - before)};
+  if (std::abs(way.log_scale - scale.log_scale) > kAgree * std::hypot(way.stddev, scale.stddev)) return std::nullopt;
+  return way;
 }
 
 }  // namespace orthonav::registration

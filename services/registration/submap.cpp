@@ -22,7 +22,7 @@ constexpr double kFittedScaleStddev = 0.01;
 // At half of this a fit went a quarter of the way back to where the compass had put the first.
 constexpr double kLearntTurnStddev = 3 * kRadian;
 constexpr double kFittedShare = 0.3;
-constexpr double kLargestScaleStddev = 0.075;  // that is searched for: twice as much is off at most
+constexpr double kLargestScaleStddev = 0.1;  // that is searched for: twice as much is off at most
 // Fixes that teach what is believed, and what the matches of one err by together in turn (rad) and scale with them.
 constexpr int kTaught = 4;
 constexpr double kTaughtStddev = 0.003;
@@ -202,8 +202,9 @@ std::vector<double> SubmapRegistrar::turns() const {
 
 SubmapRegistrar::Variant SubmapRegistrar::described(const Keyframe& keyframe, const cv::Mat& image, double turn) const {
   Variant variant;
-  variant.view = std::make_unique<View>(make_view(keyframe, image, camera_, heading_of(keyframe.q_W_B) - yaw() - turn,
-                                                  expected_scale(), *index_, geometry_, options_.query));
+  variant.view =
+      std::make_unique<View>(make_view(keyframe, image, camera_, heading_of(keyframe.q_W_B) - yaw() - turn,
+                                       std::exp(expected_scale().log_scale), *index_, geometry_, options_.query));
   return variant;
 }
 
@@ -237,32 +238,36 @@ void SubmapRegistrar::thin_out() {
 }
 
 Alignment SubmapRegistrar::expected(const View& view, size_t variant) const {
-  return {wrap_angle(yaw() + turns()[variant] - view.yaw), expected_scale()};
+  return {wrap_angle(yaw() + turns()[variant] - view.yaw), std::exp(expected_scale().log_scale)};
 }
 
 double SubmapRegistrar::odometry_scale_stddev() const {
-  const double own = keyframes_.front().keyframe().scale_stddev;
+  const double own = keyframes_.empty() ? kUnknown : keyframes_.front().keyframe().scale_stddev;
   return std::isfinite(own) ? std::max(own, options_.fit.scale_stddev) : options_.fit.scale_stddev;
 }
 
-// Without a way the matches are left to say what they say: drawn to the odometry's scale they are sought, and found,
-// where that has them.
+// Where no way says better the matches are left to say what they say: drawn to a scale they are sought, and found,
+// where that has them. That they have become few may be the scale's fault.
 ScaleBelief SubmapRegistrar::scale_before() const {
-  return way_scale_ ? with_odometry(*way_scale_, odometry_scale_stddev()) : ScaleBelief{0, kLargestScaleStddev};
+  if (!way_scale_ || aligned_before_ < kSureShare) return {expected_scale().log_scale, kLargestScaleStddev};
+  return with_odometry(*way_scale_, odometry_scale_stddev());
 }
 
 ScaleBelief SubmapRegistrar::scale_after(const PlaceFit& fit) const {
   return with_odometry(way_scale_ ? both(*way_scale_, fit.scale) : fit.scale, odometry_scale_stddev());
 }
 
-// Where nothing was found of late the scale is as doubtful as the place.
+// Where nothing was found of late the scale is as doubtful as the place, and the odometry says as much as the last fix.
+ScaleBelief SubmapRegistrar::expected_scale() const {
+  if (!fitted_scale_) return {0, kLargestScaleStddev};
+  const double doubt = std::pow(options_.widening, std::min(without_fix_, options_.max_keyframes));
+  return with_odometry({fitted_scale_->log_scale, doubt * fitted_scale_->stddev}, odometry_scale_stddev());
+}
+
 double SubmapRegistrar::searched_scale_stddev() const {
   // On the whole map more scales would be more chances for a wrong place.
   if (!std::isfinite(radius_)) return fitted_scale_ ? kFittedScaleStddev : options_.fit.scale_stddev;
-  // What few matches of one place told is not enough to look for nothing else.
-  if (!fitted_scale_ || !way_scale_) return kLargestScaleStddev;
-  const double fitted = std::max(kFittedScaleStddev, fitted_scale_->stddev);
-  return std::min(kLargestScaleStddev, fitted * std::pow(options_.widening, std::min(without_fix_, 50)));
+  return std::clamp(scale_before().stddev, kFittedScaleStddev, kLargestScaleStddev);
 }
 
 std::vector<Alignment> SubmapRegistrar::alignments_for(size_t variant, const View& view, double lever,
@@ -380,11 +385,11 @@ void SubmapRegistrar::compare_at_full_resolution(const std::vector<PlaceCandidat
 // for 220 s.
 void SubmapRegistrar::miss() {
   constexpr int kDoubted = 8;  // keyframes
+  way_scale_.reset();
   ++widened_;
   if (++without_fix_ < kDoubted || num_fixes_ >= kTaught || !fitted_yaw_) return;
   fitted_yaw_.reset();
   fitted_scale_.reset();
-  way_scale_.reset();
 }
 
 void SubmapRegistrar::learn_from(const FittedPose& pose, size_t variant) {
@@ -541,6 +546,7 @@ Fix SubmapRegistrar::solve() {
       .num_keyframes = fix.num_keyframes,
       .is_expected = is_nearby() && (fit.en - expected_).norm() <= expected_radius_,
   };
+  aligned_before_ = standing.aligned_share;
   fix.evidence = evidence(standing);
   fix.reason = doubt(standing, options_);
   if (fix.reason.empty() && disagreement > 0) {

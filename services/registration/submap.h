@@ -127,7 +127,6 @@ class SubmapRegistrar {
   std::vector<double> turns() const;
   // Rotation about z that takes W to G, as fixes have it or else the compass.
   double yaw() const { return fitted_yaw_.value_or(compass_yaw_); }
-  double expected_scale() const { return std::exp(fitted_scale_.value_or(ScaleBelief{}).log_scale); }
   Variant described(const Keyframe& keyframe, const cv::Mat& image, double turn) const;
   // Describes the keyframes under those of the turns under which they are not yet.
   void describe_turned(const std::vector<double>& turns);
@@ -141,6 +140,8 @@ class SubmapRegistrar {
   // Before a fit: by the odometry's word and by the way to the fix before. After it: by its matches and the way, too.
   ScaleBelief scale_before() const;
   ScaleBelief scale_after(const PlaceFit& fit) const;
+  // Under which a keyframe is described and looked for, and how far from it.
+  ScaleBelief expected_scale() const;
   double searched_scale_stddev() const;
   std::vector<Alignment> alignments_for(size_t variant, const View& view, double lever, double step) const;
   // With the newest keyframes, at full resolution, within radius_.
@@ -191,6 +192,7 @@ class SubmapRegistrar {
   std::optional<double> fitted_yaw_;
   std::optional<ScaleBelief> fitted_scale_;  // of the newest fix
   std::optional<ScaleBelief> way_scale_;     // of the way to it
+  double aligned_before_ = 0;                // share of the points at the place found last
   GroundLevel ground_;                       // of the session's fixes
   HeldPlace held_;                           // of the session's keyframes that were searched for widely
   int without_fix_ = 0;                      // keyframes since the last fix
