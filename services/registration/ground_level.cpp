@@ -20,6 +20,8 @@ constexpr int kEnoughLifts = 10;  // on the ground, to do without what was known
 // What differs from the average by more is another ground, and it begins anew, m.
 // Where little way is flown a keyframe counts as much as one after so many metres.
 constexpr double kAveraged = 200, kShareAveraged = 0.4, kAnew = 2.5, kLeastStep = 1;
+// What such an average errs by, m.
+constexpr double kMean = 0.7;
 
 // How tall trees are, and how far a wood reaches: the first 43 m of a flight over one were 12 m too low.
 constexpr double kHidden = 12, kWood = 50;  // m
@@ -54,16 +56,32 @@ void multiply(double lift, double lowest, double stddev, std::array<double, 2 * 
   for (size_t i = 0; i < density.size(); ++i) densities[i] *= density[i];
 }
 
+// Of log-likelihoods of levels that all may be off by the same, `stddev` m.
+void blur(double stddev, std::vector<double>& log_likelihoods) {
+  if (stddev < kStep) return;
+  const int size = static_cast<int>(log_likelihoods.size());
+  const int reach = std::min(size, static_cast<int>(kFurthest * stddev / kStep));
+  const double curvature = 0.5 * kStep * kStep / (stddev * stddev);
+  const std::vector<double> sharp = log_likelihoods;
+  for (int i = 0; i < size; ++i) {
+    double& most = log_likelihoods[static_cast<size_t>(i)];
+    for (int j = std::max(0, i - reach); j <= std::min(size - 1, i + reach); ++j) {
+      most = std::max(most, sharp[static_cast<size_t>(j)] - curvature * (i - j) * (i - j));
+    }
+  }
+}
+
 }  // namespace
 
 void GroundLevel::add(const std::vector<double>& lifts, double height, const Eigen::Vector3d& p_W_B,
-                      double lifts_per_observation) {
+                      double lifts_per_observation, const ScaleBelief& scale) {
   double step = 0;
   if (log_likelihoods_.empty()) {
     origin_ = median(lifts);
+    scale_ = scale;
     log_likelihoods_.assign(2 * kReach + 1, 0.0);
   } else {
-    const Eigen::Vector3d moved = p_W_B - p_W_B_;
+    const Eigen::Vector3d moved = std::exp(scale.log_scale) * (p_W_B - p_W_B_);
     step = moved.head<2>().norm();
     const double seen = std::min(step, kSeenAtOnce * height);
     origin_ += moved.z();
@@ -73,10 +91,23 @@ void GroundLevel::add(const std::vector<double>& lifts, double height, const Eig
     // Keyframes side by side see the same trees.
     lifts_per_observation *= kSeenAtOnce * height / std::max(seen, 1e-3 * height);
     for (double& log_likelihood : log_likelihoods_) log_likelihood *= std::exp(-step / (kMemory * height));
+    const double changed = scale.log_scale - scale_.log_scale;
+    const double said = std::hypot(scale.stddev, scale_.stddev);
+    const double beyond = std::sqrt(std::max(0.0, changed * changed - said * said));
+    if (beyond > 0) {
+      const double off = height * beyond;
+      blur(off, log_likelihoods_);
+      averaged_ /= 1 + averaged_ * off * off / (kAveraged * kMean * kMean);
+      scale_ = scale;
+    }
+    const double share = std::min(1.0, std::max(kLeastStep, step) / (kMemory * height));
+    scale_.log_scale += share * (scale.log_scale - scale_.log_scale);
+    scale_.stddev += share * (scale.stddev - scale_.stddev);
   }
   p_W_B_ = p_W_B;
   // Of the odometry's depths and the map's heights.
   const double stddev = std::hypot(0.7, 0.01 * height);
+  std::vector<double> seen(log_likelihoods_.size(), 0.0);
   // Products of the densities, for a logarithm takes as long as many of them; 64 of at least 6e-5 are not too small.
   constexpr size_t kProduct = 64;
   for (size_t first = 0; first < lifts.size(); first += kProduct) {
@@ -86,9 +117,11 @@ void GroundLevel::add(const std::vector<double>& lifts, double height, const Eig
       multiply(lifts[i], origin_ - kStep * kReach, stddev, densities);
     }
     for (size_t i = 0; i < densities.size(); ++i) {
-      log_likelihoods_[i] += std::log(densities[i]) / lifts_per_observation;
+      seen[i] += std::log(densities[i]) / lifts_per_observation;
     }
   }
+  blur(scale.stddev * height, seen);
+  for (size_t i = 0; i < seen.size(); ++i) log_likelihoods_[i] += seen[i];
   const auto best = std::max_element(log_likelihoods_.begin(), log_likelihoods_.end());
   const double mode = origin_ + kStep * static_cast<double>(best - log_likelihoods_.begin() - kReach);
   double sum = 0;
@@ -100,7 +133,8 @@ void GroundLevel::add(const std::vector<double>& lifts, double height, const Eig
   }
   const double here = (sum + std::max(0, kEnoughLifts - count) * mode) / std::max(kEnoughLifts, count);
   if (std::abs(here - level_) > kAnew) averaged_ = 0;
-  const double counts = std::clamp(step, kLeastStep, kSeenAtOnce * height);
+  const double by_scale = scale.stddev * height / kMean;
+  const double counts = std::max(kLeastStep, std::min(step, kSeenAtOnce * height)) / (1 + by_scale * by_scale);
   averaged_ = std::clamp(averaged_ + counts, counts, std::max(counts, std::min(kAveraged, kShareAveraged * way_)));
   level_ += (here - level_) * counts / averaged_;
 }

@@ -6,6 +6,10 @@
 // remembered, because ground seen at the edge of a wood still tells the height over its middle. What the map's own
 // heights err by is averaged along the way, for the odometry's climb is better than they are.
 //
+// A lift is as good as the scale it was made with. Levels are remembered in metres, and count the less the less their
+// scale was known; where it changes by more than was said of it, it was wrong, or is, or the odometry's has changed: so
+// far may be off what is remembered, and it gives way to what is seen now.
+//
 // Not thread-safe; a value.
 #pragma once
 
@@ -13,13 +17,16 @@
 
 #include <Eigen/Core>
 
+#include "services/registration/types.h"
+
 namespace orthonav::registration {
 
 class GroundLevel {
  public:
   // Adds the lifts (m, in G; at least one) of points seen from `height` m above them by the body at `p_W_B`, m in W;
-  // `lifts_per_observation` lifts count as one.
-  void add(const std::vector<double>& lifts, double height, const Eigen::Vector3d& p_W_B, double lifts_per_observation);
+  // `lifts_per_observation` lifts count as one. They were made with `scale`.
+  void add(const std::vector<double>& lifts, double height, const Eigen::Vector3d& p_W_B, double lifts_per_observation,
+           const ScaleBelief& scale = {});
 
   bool known() const { return !log_likelihoods_.empty(); }  // after add()
 
@@ -33,6 +40,7 @@ class GroundLevel {
  private:
   double origin_ = 0;                                // m in G, of the middle of the levels compared
   Eigen::Vector3d p_W_B_ = Eigen::Vector3d::Zero();  // m, of the body that they are levels of
+  ScaleBelief scale_;                                // that they were seen under, in the mean
   double way_ = 0;                                   // m, flown since the first, as far as it was seen
   std::vector<double> log_likelihoods_;              // of the levels
   double level_ = 0, averaged_ = 0;                  // m; the latter the way it is the average of

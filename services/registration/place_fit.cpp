@@ -19,6 +19,10 @@ constexpr double kMinResidual = 0.05;
 // Weight below which a match is no inlier.
 constexpr double kInlierWeight = 0.1;
 constexpr double kConverged = 1e-3;  // m: steps that move no point by more are the last
+// Matches are sought anew where the fit has come to, until it moves no point by more, m, or so many times.
+constexpr double kSettled = 0.3;
+constexpr int kMostRounds = 4;
+constexpr double kAnyStretch = 0.3;
 
 // Geman-McClure: falls to 0 for residuals well beyond `width`.
 double robust_weight(double squared, double width) {
@@ -78,6 +82,29 @@ std::vector<PlacedPoint> associate(const std::vector<const View*>& views, const 
   return matches;
 }
 
+double stretch_stddev(const std::vector<const View*>& views, const FitOptions& options) {
+  return options.lean / views.front()->keyframe.height_above_ground;
+}
+
+// What the fit leaves of each point, and what it counts for that.
+void weigh(const std::vector<const View*>& views, double width, PlaceFit& fit) {
+  const Eigen::Matrix2d from_W = fit.alignment.from_W(views.front()->yaw);
+  for (PlacedPoint& placed : fit.points) {
+    placed.residual = fit.en + from_W * offset_of(views, point_of(views, placed)) - placed.en;
+    placed.weight = robust_weight(placed.residual.squaredNorm(), width);
+  }
+}
+
+// How far from the newest body points lie, horizontally, m: their root mean square.
+double furthest(const std::vector<const View*>& views) {
+  double sum = 0, count = 0;
+  for (const ViewPoint& point : views.front()->points) {
+    sum += offset_of(views, point).squaredNorm();
+    ++count;
+  }
+  return std::sqrt(sum / std::max(1.0, count));
+}
+
 // Robust least squares of place, turn and log scale, the residuals' width shrinking from `first` to `last` m.
 void solve(const std::vector<const View*>& views, double first, double last, const FitOptions& options,
            const Alignment& prior, PlaceFit& fit) {
@@ -86,6 +113,7 @@ void solve(const std::vector<const View*>& views, double first, double last, con
   offsets.reserve(fit.points.size());
   for (const PlacedPoint& placed : fit.points) offsets.push_back(offset_of(views, point_of(views, placed)));
   Eigen::Matrix4d information = Eigen::Matrix4d::Identity();
+  double scale_information = 0;
   for (int iteration = 0; iteration < kIterations; ++iteration) {
     const double width = std::max(last, first * std::pow(0.75, iteration));
     // The residual's derivatives by place, turn and log scale are the identity, the lever turned by 90 degrees and the
@@ -118,11 +146,14 @@ void solve(const std::vector<const View*>& views, double first, double last, con
     information *= trust;
     gradient *= trust;
     const double turn_information = 1 / (options.heading_stddev * options.heading_stddev);
-    const double scale_information = 1 / (options.scale_stddev * options.scale_stddev);
+    const double stretched = std::log(fit.alignment.scale / prior.scale);
+    // Of the odometry, which may be wrong by what the matches say, and the stretch.
+    scale_information = 1 / (options.scale_stddev * options.scale_stddev + 0.5 * stretched * stretched +
+                             std::pow(stretch_stddev(views, options), 2));
     information(2, 2) += turn_information;
     gradient(2) += turn_information * (fit.alignment.turn - prior.turn);
     information(3, 3) += scale_information;
-    gradient(3) += scale_information * std::log(fit.alignment.scale / prior.scale);
+    gradient(3) += scale_information * stretched;
     information.topLeftCorner<2, 2>() += 1e-9 * Eigen::Matrix2d::Identity();
     const Eigen::Vector4d step = information.ldlt().solve(-gradient);
     if (!step.allFinite()) return;
@@ -136,7 +167,11 @@ void solve(const std::vector<const View*>& views, double first, double last, con
   }
   const Eigen::Matrix4d covariance = information.inverse();
   fit.turn_stddev = std::sqrt(covariance(2, 2));
-  fit.scale_stddev = std::sqrt(covariance(3, 3));
+  // Less what was known beforehand.
+  const double all = 1 / covariance(3, 3), of_matches = std::max(1e-6, all - scale_information);
+  const double log_scale = std::log(fit.alignment.scale);
+  fit.scale.log_scale = log_scale + (all / of_matches - 1) * (log_scale - std::log(prior.scale));
+  fit.scale.stddev = std::hypot(1 / std::sqrt(of_matches), stretch_stddev(views, options));
   fit.ok = covariance.allFinite() && fit.inliers > 0;
 }
 
@@ -210,6 +245,29 @@ void align_points(const std::vector<const View*>& views, const MapIndex& index, 
 
 }  // namespace
 
+ScaleBelief with_odometry(const ScaleBelief& measured, double odometry_stddev) {
+  // Sums over the scales that the measurement leaves, fine enough for the narrower of the two.
+  constexpr double kReach = 6;  // standard deviations
+  constexpr int kMostSteps = 2000;
+  const double from = std::min(-kReach * odometry_stddev, measured.log_scale - kReach * measured.stddev);
+  const double to = std::max(kReach * odometry_stddev, measured.log_scale + kReach * measured.stddev);
+  const double wanted = (to - from) / (0.25 * std::min(odometry_stddev, measured.stddev));
+  const int steps = static_cast<int>(std::clamp(wanted, 1.0, static_cast<double>(kMostSteps)));
+  double sum = 0, first = 0, second = 0;
+  for (int i = 0; i <= steps; ++i) {
+    const double log_scale = from + (to - from) * i / steps;
+    const double off = (log_scale - measured.log_scale) / measured.stddev;
+    // As wide as a Gaussian of that deviation where both are highest.
+    const double said = log_scale / odometry_stddev;
+    const double density = std::exp(-0.5 * off * off) / (1 + 0.5 * said * said);
+    sum += density;
+    first += density * log_scale;
+    second += density * log_scale * log_scale;
+  }
+  const double mean = first / sum;
+  return {mean, std::sqrt(std::max(1e-12, second / sum - mean * mean))};
+}
+
 PlaceFit fit_place(const std::vector<const View*>& views, const MapIndex& index, double metres_per_pixel,
                    const Eigen::Vector2d& place, const Alignment& alignment, const Alignment& prior,
                    const FitOptions& options) {
@@ -221,36 +279,47 @@ PlaceFit fit_place(const std::vector<const View*>& views, const MapIndex& index,
   if (!fit.ok) return fit;
   fit.points = associate(views, index, fit, 1.5, options.min_excess);
   solve(views, index.pitch(), 0.7 * index.pitch(), options, prior, fit);
-  if (!fit.ok) return fit;
-  align_points(views, index, metres_per_pixel, fit);
-  solve(views, index.pitch(), 0.4 * index.pitch(), options, prior, fit);
+  const double lever = furthest(views);
+  for (int round = 0; fit.ok && round < kMostRounds; ++round) {
+    const PlaceFit before = fit;
+    if (round > 0) {
+      // Of all points: those that were left out for lying elsewhere under the fit before, too.
+      fit.points = associate(views, index, fit, 1.5, options.min_excess);
+      weigh(views, 0.7 * index.pitch(), fit);
+    }
+    align_points(views, index, metres_per_pixel, fit);
+    solve(views, index.pitch(), 0.4 * index.pitch(), options, prior, fit);
+    const double turned = std::abs(fit.alignment.turn - before.alignment.turn);
+    const double stretched = std::abs(std::log(fit.alignment.scale / before.alignment.scale));
+    if ((fit.en - before.en).norm() + lever * (turned + stretched) < kSettled) break;
+  }
   return fit;
 }
 
 namespace {
 
-using Matrix7d = Eigen::Matrix<double, 7, 7>;
+using Matrix8d = Eigen::Matrix<double, 8, 8>;
 
-// What a fit of (position, turn in G, log scale) is without its prior on the turn's first two, the tilt from the
-// odometry's vertical. It ended at `p_G_B` and `tilt` (rad, about east and north). `information` holds that prior,
+// What a fit of (position, turn in G, log scale, stretch) is without its prior on the turn's first two, the tilt from
+// the odometry's vertical. It ended at `p_G_B` and `tilt` (rad, about east and north). `information` holds that prior,
 // `tilt_information` times the identity, and `of_matches`, which the matches' errors make too small by `errors` and,
 // where they tell the tilt, too large by 1 / `tilt_errors`; they show `followed` of a true tilt.
-Upright upright_of(const Eigen::Vector3d& p_G_B, const Eigen::Vector2d& tilt, const Matrix7d& information,
-                   const Matrix7d& of_matches, double tilt_information, double errors, double tilt_errors,
+Upright upright_of(const Eigen::Vector3d& p_G_B, const Eigen::Vector2d& tilt, const Matrix8d& information,
+                   const Matrix8d& of_matches, double tilt_information, double errors, double tilt_errors,
                    double followed) {
-  const std::array<int, 5> rest{0, 1, 2, 5, 6};
+  const std::array<int, 6> rest{0, 1, 2, 5, 6, 7};
   const std::array<int, 2> tilts{3, 4};
-  using Matrix5d = Eigen::Matrix<double, 5, 5>;
-  const Matrix5d inverse = Matrix5d(information(rest, rest)).inverse();
-  const Eigen::Matrix<double, 5, 2> coupling = information(rest, tilts);
-  const Eigen::Matrix<double, 5, 2> follows = inverse * coupling;  // the rest moves by -this with the tilt
+  using Matrix6d = Eigen::Matrix<double, 6, 6>;
+  const Matrix6d inverse = Matrix6d(information(rest, rest)).inverse();
+  const Eigen::Matrix<double, 6, 2> coupling = information(rest, tilts);
+  const Eigen::Matrix<double, 6, 2> follows = inverse * coupling;  // the rest moves by -this with the tilt
   const Eigen::Matrix2d with_prior = Eigen::Matrix2d(information(tilts, tilts)) - coupling.transpose() * follows;
   // A thousandth of the prior stays: matches that say nothing of the tilt leave it finite.
   const Eigen::Matrix2d of_tilt = with_prior - 0.999 * tilt_information * Eigen::Matrix2d::Identity();
   Upright upright;
   upright.lever = follows.topRows<3>();
   upright.p_G_B = p_G_B + upright.lever * tilt;
-  const Matrix5d noise = information(rest, rest) - (1 - errors) * of_matches(rest, rest);
+  const Matrix6d noise = information(rest, rest) - (1 - errors) * of_matches(rest, rest);
   upright.covariance = (inverse * noise * inverse).topLeftCorner<3, 3>();
   upright.tilt = of_tilt.inverse() * (with_prior * tilt) / followed;
   upright.tilt_covariance = tilt_errors * of_tilt.inverse() / (followed * followed);
@@ -260,7 +329,7 @@ Upright upright_of(const Eigen::Vector3d& p_G_B, const Eigen::Vector2d& tilt, co
 }  // namespace
 
 FittedPose fit_pose(const std::vector<const View*>& views, const PlaceFit& fit, const Alignment& prior,
-                    const FitOptions& options, GroundLevel& ground) {
+                    const ScaleBelief& scale_before, const FitOptions& options, GroundLevel& ground) {
   FittedPose result;
   std::vector<const PlacedPoint*> inliers;
   for (const PlacedPoint& placed : fit.points) {
@@ -271,13 +340,14 @@ FittedPose fit_pose(const std::vector<const View*>& views, const PlaceFit& fit, 
   const Keyframe& keyframe = newest.keyframe;
 
   // Heights: the odometry's points, scaled, lie on the map's ground or above it.
+  const double scaled = std::exp(scale_before.log_scale);
   std::vector<double> lifts;
   lifts.reserve(inliers.size());
   for (const PlacedPoint* placed : inliers) {
-    lifts.push_back(placed->ground - fit.alignment.scale * (point_of(views, *placed).p_W.z() - keyframe.p_W_B.z()));
+    lifts.push_back(placed->ground - scaled * (point_of(views, *placed).p_W.z() - keyframe.p_W_B.z()));
   }
   ground.add(lifts, keyframe.height_above_ground, keyframe.p_W_B,
-             options.matches_per_observation * static_cast<double>(views.size()));
+             options.matches_per_observation * static_cast<double>(views.size()), scale_before);
   const double level = ground.level();
   std::vector<double> heights;  // of the map's points, m in G
   double mean_drop = 0;         // of the points below the body, by the odometry
@@ -301,12 +371,15 @@ FittedPose fit_pose(const std::vector<const View*>& views, const PlaceFit& fit, 
     cameras.push_back({R_C_W, R_C_W, R_C_W * (own.p_W_B + R_W_B * own.extrinsics.p_B_C - keyframe.p_W_B)});
   }
 
-  // Unknowns: position of the newest body, a turn of all the odometry's frame (in G), log of the scale.
+  // Unknowns: position of the newest body, a turn of all the odometry's frame (in G), log of the scale, and by how much
+  // the map shows all that is in view stretched about the newest body.
   Eigen::Vector3d p_G_B(fit.en.x(), fit.en.y(), level);
   Eigen::Matrix3d R_G_W = Eigen::AngleAxisd(newest.yaw + fit.alignment.turn, Eigen::Vector3d::UnitZ()).matrix();
   const Eigen::Matrix3d R_prior = Eigen::AngleAxisd(newest.yaw + prior.turn, Eigen::Vector3d::UnitZ()).matrix();
-  double log_scale = std::log(fit.alignment.scale);
-  Matrix7d information, of_matches;
+  double log_scale = scale_before.log_scale;
+  using Row = Eigen::Matrix<double, 8, 1>;
+  double stretch = std::log(fit.alignment.scale) - log_scale;
+  Matrix8d information, of_matches;
   // What matches err by together shifts or turns them all; it tilts nothing. Where they tell the tilt they count more,
   // or else its prior as much less.
   const double tilt_errors =
@@ -315,23 +388,25 @@ FittedPose fit_pose(const std::vector<const View*>& views, const PlaceFit& fit, 
   const double width = std::max(0.5, 2 * fit.rms);
   for (int iteration = 0; iteration < 6; ++iteration) {
     information.setZero();
-    Eigen::Matrix<double, 7, 1> gradient = Eigen::Matrix<double, 7, 1>::Zero();
+    Row gradient = Row::Zero();
     double weights = 0, sum = 0;
     const double scale = std::exp(log_scale);
     for (Camera& camera : cameras) camera.R_C_G = camera.R_C_W * R_G_W.transpose();
     for (size_t i = 0; i < inliers.size(); ++i) {
       const Camera& camera = cameras[static_cast<size_t>(inliers[i]->view)];
       const Eigen::Vector3d point_G(inliers[i]->en.x(), inliers[i]->en.y(), heights[i]);
-      const Eigen::Vector3d from_body_G = point_G - p_G_B;
+      Eigen::Vector3d from_body_G = point_G - p_G_B;
+      const Eigen::Vector3d outward(from_body_G.x(), from_body_G.y(), 0);
+      from_body_G -= stretch * outward;
       const Eigen::Vector3d p_C = camera.R_C_G * from_body_G - scale * camera.arm_C;
       if (!(p_C.z() > 1)) return result;
       // In metres on the ground: the ray's miss times the depth.
       const Eigen::Vector2d residual = p_C.head<2>() - p_C.z() * point_of(views, *inliers[i]).ray;
       Eigen::Matrix<double, 2, 3> projection;
       projection << Eigen::Matrix2d::Identity(), -point_of(views, *inliers[i]).ray;
-      Eigen::Matrix<double, 3, 7> point;
-      point << -camera.R_C_G, camera.R_C_G * skew(from_body_G), -scale * camera.arm_C;
-      const Eigen::Matrix<double, 2, 7> jacobian = projection * point;
+      Eigen::Matrix<double, 3, 8> point;
+      point << -camera.R_C_G, camera.R_C_G * skew(from_body_G), -scale * camera.arm_C, -camera.R_C_G * outward;
+      const Eigen::Matrix<double, 2, 8> jacobian = projection * point;
       const double weight = robust_weight(residual.squaredNorm(), width);
       information += weight * jacobian.transpose() * jacobian;
       gradient += weight * jacobian.transpose() * residual;
@@ -343,39 +418,41 @@ FittedPose fit_pose(const std::vector<const View*>& views, const PlaceFit& fit, 
     information *= trust;
     gradient *= trust;
     of_matches = information;
-    const auto add_prior = [&](const Eigen::Matrix<double, 7, 1>& row, double residual, double stddev) {
+    const auto add_prior = [&](const Row& row, double residual, double stddev) {
       information += row * row.transpose() / (stddev * stddev);
       gradient += row * residual / (stddev * stddev);
     };
-    using Row = Eigen::Matrix<double, 7, 1>;
     const Eigen::Vector3d turned = so3_log(Eigen::Quaterniond(R_G_W * R_prior.transpose()));
     add_prior(Row::Unit(3), turned.x(), 1 / std::sqrt(tilt_information));
     add_prior(Row::Unit(4), turned.y(), 1 / std::sqrt(tilt_information));
     add_prior(Row::Unit(5), turned.z(), options.heading_stddev);
-    add_prior(Row::Unit(6), log_scale - std::log(prior.scale), options.scale_stddev);
+    // What the matches say of the scale is in it already.
+    add_prior(Row::Unit(6), log_scale - scale_before.log_scale, scale_before.stddev);
+    add_prior(Row::Unit(7), stretch, kAnyStretch);
     // The body is above the ground by what the odometry says, scaled.
     Row height = Row::Unit(2);
     height(6) = -scale * mean_drop;
-    const double expected_height = level + (scale - fit.alignment.scale) * mean_drop;
+    const double expected_height = level + (scale - scaled) * mean_drop;
     add_prior(height, p_G_B.z() - expected_height, options.ground_height_stddev);
     const Row step = information.ldlt().solve(-gradient);
     if (!step.allFinite()) return result;
     p_G_B += step.head<3>();
     R_G_W = so3_exp(step.segment<3>(3)).toRotationMatrix() * R_G_W;
     log_scale += step(6);
-    if (step.head<3>().norm() + step.tail<4>().norm() * mean_drop < kConverged) break;
+    stretch += step(7);
+    if (step.head<3>().norm() + step.tail<5>().norm() * mean_drop < kConverged) break;
   }
-  const Matrix7d inverse = information.inverse();
+  const Matrix8d inverse = information.inverse();
   // The fit weighs matches as if those of other keyframes erred by the same, and is better for it (medians of `rural`
   // 1.05 m, 1.10 m with twice the weight); they do not, and what it says of itself is put right by that.
   const double errors = 1 / static_cast<double>(views.size());
-  const Matrix7d covariance = inverse * (information - (1 - errors) * of_matches) * inverse;
+  const Matrix8d covariance = inverse * (information - (1 - errors) * of_matches) * inverse;
   if (!covariance.allFinite()) return result;
   const Eigen::Vector3d turned = so3_log(Eigen::Quaterniond(R_G_W * R_prior.transpose()));
   Upright& upright = result.upright;
   upright = upright_of(p_G_B, turned.head<2>(), information, of_matches, tilt_information, errors, tilt_errors,
                        options.tilt_followed);
-  upright.covariance(2, 2) += std::pow(options.common_stddev * mean_drop, 2) + std::pow(ground.hidden_stddev(), 2);
+  upright.covariance(2, 2) += std::pow(ground.hidden_stddev(), 2);
   // The matches' word on the vertical, weighed against the odometry's.
   const Eigen::Matrix2d of_tilt = upright.tilt_covariance.inverse();
   const Eigen::Matrix2d tilt_covariance =
@@ -389,15 +466,15 @@ FittedPose fit_pose(const std::vector<const View*>& views, const PlaceFit& fit, 
   result.covariance = upright.covariance + upright.lever * tilt_covariance * upright.lever.transpose();
   result.covariance.topLeftCorner<2, 2>() += options.map_stddev * options.map_stddev * Eigen::Matrix2d::Identity();
   result.scale = std::exp(log_scale);
-  result.scale_stddev = result.scale * std::hypot(std::sqrt(covariance(6, 6)), options.common_stddev);
+  result.scale_stddev = result.scale * std::sqrt(covariance(6, 6));
   result.yaw = wrap_angle(newest.yaw + prior.turn + turned.z());
   result.yaw_stddev = std::hypot(std::sqrt(covariance(5, 5)), options.common_stddev);
   result.ok = true;
   return result;
 }
 
-GroundLevel ground_along(const std::vector<const View*>& views, const PlaceFit& fit, const MapIndex& index,
-                         const FitOptions& options) {
+GroundLevel ground_along(const std::vector<const View*>& views, const PlaceFit& fit, const ScaleBelief& scale,
+                         const MapIndex& index, const FitOptions& options) {
   GroundLevel ground;
   const Eigen::Matrix2d from_W = fit.alignment.from_W(views.front()->yaw);
   for (size_t k = views.size() - 1; k > 0; --k) {
@@ -408,10 +485,11 @@ GroundLevel ground_along(const std::vector<const View*>& views, const PlaceFit& 
       const int feature =
           index.feature(static_cast<int>(std::lround(cell.y())), static_cast<int>(std::lround(cell.x())));
       if (feature < 0) continue;
-      lifts.push_back(index.position(feature).z() - fit.alignment.scale * (point.p_W.z() - view.keyframe.p_W_B.z()));
+      lifts.push_back(index.position(feature).z() -
+                      std::exp(scale.log_scale) * (point.p_W.z() - view.keyframe.p_W_B.z()));
     }
     if (!lifts.empty()) {
-      ground.add(lifts, view.keyframe.height_above_ground, view.keyframe.p_W_B, options.matches_per_observation);
+      ground.add(lifts, view.keyframe.height_above_ground, view.keyframe.p_W_B, options.matches_per_observation, scale);
     }
   }
   return ground;

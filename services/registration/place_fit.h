@@ -23,15 +23,17 @@ namespace orthonav::registration {
 
 struct FitOptions {
   double heading_stddev = 0.05;  // rad, of the compass
-  double scale_stddev = 0.025;   // of the odometry
+  double scale_stddev = 0.025;   // of the odometry, as it says of itself
+  // m over the height: by how much all that a keyframe sees is stretched together on the map. Patches show what stands
+  // on the ground leaning outward, the map does not.
+  double lean = 2.0;
   double tilt_stddev = 0.0052;   // rad per axis, of the odometry's vertical
   double matches_per_tilt = 16;  // so many matches count as one where their perspective tells the tilt
   double tilt_followed = 0.4;    // of a true tilt, what matches show that were aligned where the odometry's put them
   double map_stddev = 0.35;      // m, each of east and north: georeferencing error of the map (0.5 in the plane)
   double ground_height_stddev = 0.7;    // m, of the map's heights, averaged along the way
   double matches_per_observation = 30;  // so many matches of a keyframe count as one, and so do those of the same point
-  // What all matches err by together, in scale and turn (rad): a patch described under others fits best where they put
-  // it.
+  // What all matches err by together in turn, rad: a patch described under another fits best where that puts it.
   double common_stddev = 0.01;
   double min_excess = 2.0;  // standard deviations of similarity a match has at least
 };
@@ -51,7 +53,9 @@ struct PlaceFit {
   bool ok = false;
   Eigen::Vector2d en = Eigen::Vector2d::Zero();  // m in G, of the newest body
   Alignment alignment;
-  double turn_stddev = 0, scale_stddev = 0;
+  double turn_stddev = 0;
+  // What the matches alone say, of the true scale: `alignment` has that which the map is seen under.
+  ScaleBelief scale;
   std::vector<PlacedPoint> points;
   double inliers = 0;  // sum of the weights
   double rms = 0;      // m, of the inliers
@@ -73,14 +77,20 @@ struct FittedPose {
   Upright upright;
 };
 
+// What a measurement of the scale and the odometry, which says that its own is right to `odometry_stddev`, say
+// together: mean and deviation of the product of a Gaussian and, for whoever states a deviation may be wrong in that, a
+// Cauchy distribution. Where the two contradict each other it is as wide as they are apart, until the measurement
+// outweighs.
+ScaleBelief with_odometry(const ScaleBelief& measured, double odometry_stddev);
+
 // What the views before the newest say of the height over the map's ground, all their points put where the fit has
 // them: who finds its place over a wood may have flown over its edge before. `views`: newest first.
-GroundLevel ground_along(const std::vector<const View*>& views, const PlaceFit& fit, const MapIndex& index,
-                         const FitOptions& options);
+GroundLevel ground_along(const std::vector<const View*>& views, const PlaceFit& fit, const ScaleBelief& scale,
+                         const MapIndex& index, const FitOptions& options);
 
-// `ground` is what the keyframes before said of the height. Throws nothing; ok is false when the equations cannot be
-// solved.
+// `scale` is all that is known of it, the fit's matches included, and `ground` what the keyframes before said of the
+// height. Throws nothing; ok is false when the equations cannot be solved.
 FittedPose fit_pose(const std::vector<const View*>& views, const PlaceFit& fit, const Alignment& prior,
-                    const FitOptions& options, GroundLevel& ground);
+                    const ScaleBelief& scale, const FitOptions& options, GroundLevel& ground);
 
 }  // namespace orthonav::registration

@@ -333,4 +333,25 @@ Eigen::Vector2d likeliest_place(const std::vector<const View*>& views, const Map
   return centre + index.pitch() * Eigen::Vector2d(at % picture.side - picture.reach, picture.reach - at / picture.side);
 }
 
+std::optional<Eigen::Vector2d> peak_near(const std::vector<const View*>& views, const MapIndex& index,
+                                         const Alignment& alignment, const Eigen::Vector2d& centre, double radius,
+                                         const EvidenceOptions& options) {
+  // A cell more on each side, to tell a peak from a slope.
+  const FineLikelihood picture =
+      fine_likelihood(views, index, {alignment}, centre, radius + index.pitch(), false, options);
+  const std::vector<float>& sums = picture.sums.front();
+  const int side = picture.side;
+  const int at = static_cast<int>(std::max_element(sums.begin(), sums.end()) - sums.begin());
+  const int row = at / side, column = at % side;
+  if (row == 0 || column == 0 || row == side - 1 || column == side - 1) return std::nullopt;
+  // Between the cells by the parabola through the peak and its neighbours.
+  const auto between = [&](int step) {
+    const double before = sums[static_cast<size_t>(at - step)], after = sums[static_cast<size_t>(at + step)];
+    const double curvature = before - 2.0 * sums[static_cast<size_t>(at)] + after;
+    return curvature < 0 ? 0.5 * (before - after) / curvature : 0.0;
+  };
+  return centre +
+         index.pitch() * Eigen::Vector2d(column + between(1) - picture.reach, picture.reach - row - between(side));
+}
+
 }  // namespace orthonav::registration

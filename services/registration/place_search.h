@@ -10,6 +10,7 @@
 #pragma once
 
 #include <limits>
+#include <optional>
 #include <vector>
 
 #include <Eigen/Core>
@@ -83,5 +84,10 @@ std::vector<PlaceCandidate> best_fine_places(const std::vector<const View*>& vie
 Eigen::Vector2d likeliest_place(const std::vector<const View*>& views, const MapIndex& index,
                                 const Alignment& alignment, const Eigen::Vector2d& centre, double radius,
                                 const EvidenceOptions& options);
+
+// The same between cells; nothing where it looks likeliest at the border, which is no peak.
+std::optional<Eigen::Vector2d> peak_near(const std::vector<const View*>& views, const MapIndex& index,
+                                         const Alignment& alignment, const Eigen::Vector2d& centre, double radius,
+                                         const EvidenceOptions& options);
 
 }  // namespace orthonav::registration

@@ -22,7 +22,7 @@ constexpr double kFittedScaleStddev = 0.01;
 // At half of this a fit went a quarter of the way back to where the compass had put the first.
 constexpr double kLearntTurnStddev = 3 * kRadian;
 constexpr double kFittedShare = 0.3;
-constexpr double kLargestScaleStddev = 0.1;  // that a session begins with
+constexpr double kLargestScaleStddev = 0.1;  // that is searched for: twice as much is off at most
 // Fixes that teach what is believed, and what the matches of one err by together in turn (rad) and scale with them.
 constexpr int kTaught = 4;
 constexpr double kTaughtStddev = 0.003;
@@ -83,6 +83,7 @@ SubmapOptions SubmapOptions::from_config(ConfigNode& node) {
   submap.read("min_evidence", options.min_evidence, 0, 10);
   submap.read("min_inliers", options.min_inliers, 6, 10000);
   submap.read("scale_stddev", options.fit.scale_stddev, 1e-4, 1);
+  submap.read("lean", options.fit.lean, 0, 100);
   double tilt_stddev_deg = options.fit.tilt_stddev / kRadian;
   submap.read("tilt_stddev_deg", tilt_stddev_deg, 1e-3, 10);
   options.fit.tilt_stddev = tilt_stddev_deg * kRadian;
@@ -157,6 +158,7 @@ bool SubmapRegistrar::describe(const Keyframe& keyframe, int session, const cv::
     num_headings_ = 0;
     fitted_yaw_.reset();
     fitted_scale_.reset();
+    way_scale_.reset();
     ground_ = {};
     held_ = {};
     num_fixes_ = 0;
@@ -202,8 +204,9 @@ std::vector<double> SubmapRegistrar::turns() const {
 
 SubmapRegistrar::Variant SubmapRegistrar::described(const Keyframe& keyframe, const cv::Mat& image, double turn) const {
   Variant variant;
-  variant.view = std::make_unique<View>(make_view(keyframe, image, camera_, heading_of(keyframe.q_W_B) - yaw() - turn,
-                                                  fitted_scale_.value_or(1.0), *index_, geometry_, options_.query));
+  variant.view =
+      std::make_unique<View>(make_view(keyframe, image, camera_, heading_of(keyframe.q_W_B) - yaw() - turn,
+                                       std::exp(expected_scale().log_scale), *index_, geometry_, options_.query));
   return variant;
 }
 
@@ -237,13 +240,36 @@ void SubmapRegistrar::thin_out() {
 }
 
 Alignment SubmapRegistrar::expected(const View& view, size_t variant) const {
-  return {wrap_angle(yaw() + turns()[variant] - view.yaw), fitted_scale_.value_or(1.0)};
+  return {wrap_angle(yaw() + turns()[variant] - view.yaw), std::exp(expected_scale().log_scale)};
 }
 
-// A session begins with a scale that its odometry is not sure of, and says so.
-double SubmapRegistrar::scale_stddev() const {
-  const double own = keyframes_.front().keyframe().scale_stddev;
-  return std::max(options_.fit.scale_stddev, std::isfinite(own) ? std::min(own, kLargestScaleStddev) : 0);
+double SubmapRegistrar::odometry_scale_stddev() const {
+  const double own = keyframes_.empty() ? kUnknown : keyframes_.front().keyframe().scale_stddev;
+  return std::isfinite(own) ? std::max(own, options_.fit.scale_stddev) : options_.fit.scale_stddev;
+}
+
+// Where no way says better the matches are left to say what they say: drawn to a scale they are sought, and found,
+// where that has them. That they have become few may be the scale's fault.
+ScaleBelief SubmapRegistrar::scale_before() const {
+  if (!way_scale_ || aligned_before_ < kSureShare) return {expected_scale().log_scale, kLargestScaleStddev};
+  return with_odometry(*way_scale_, odometry_scale_stddev());
+}
+
+ScaleBelief SubmapRegistrar::scale_after(const PlaceFit& fit) const {
+  return with_odometry(way_scale_ ? both(*way_scale_, fit.scale) : fit.scale, odometry_scale_stddev());
+}
+
+// Where nothing was found of late the scale is as doubtful as the place, and the odometry says as much as the last fix.
+ScaleBelief SubmapRegistrar::expected_scale() const {
+  if (!fitted_scale_) return {0, kLargestScaleStddev};
+  const double doubt = std::pow(options_.widening, std::min(without_fix_, options_.max_keyframes));
+  return with_odometry({fitted_scale_->log_scale, doubt * fitted_scale_->stddev}, odometry_scale_stddev());
+}
+
+double SubmapRegistrar::searched_scale_stddev() const {
+  // On the whole map more scales would be more chances for a wrong place.
+  if (!std::isfinite(radius_)) return fitted_scale_ ? kFittedScaleStddev : options_.fit.scale_stddev;
+  return std::clamp(scale_before().stddev, kFittedScaleStddev, kLargestScaleStddev);
 }
 
 std::vector<Alignment> SubmapRegistrar::alignments_for(size_t variant, const View& view, double lever,
@@ -252,11 +278,7 @@ std::vector<Alignment> SubmapRegistrar::alignments_for(size_t variant, const Vie
                              : options_.search_heading ? 0.25 * kHeadingStep
                              : variant > 0             ? 0.25 * kTurnStep
                                                        : heading_.stddev;
-  // On the whole map more scales would be more chances for a wrong place.
-  const double own = std::isfinite(radius_) ? scale_stddev() : options_.fit.scale_stddev;
-  // While the odometry itself is not sure, the scale that was fitted first may be wrong, or change.
-  const double scale = fitted_scale_ && own <= options_.fit.scale_stddev ? kFittedScaleStddev : own;
-  return alignments(expected(view, variant), turn_stddev, scale, lever, step);
+  return alignments(expected(view, variant), turn_stddev, searched_scale_stddev(), lever, step);
 }
 
 void SubmapRegistrar::search(const std::optional<PositionPrior>& prior) {
@@ -365,6 +387,7 @@ void SubmapRegistrar::compare_at_full_resolution(const std::vector<PlaceCandidat
 // for 220 s.
 void SubmapRegistrar::miss() {
   constexpr int kDoubted = 8;  // keyframes
+  way_scale_.reset();
   ++widened_;
   if (++without_fix_ < kDoubted || num_fixes_ >= kTaught || !fitted_yaw_) return;
   fitted_yaw_.reset();
@@ -379,7 +402,7 @@ void SubmapRegistrar::learn_from(const FittedPose& pose, size_t variant) {
   if (!elsewhere) widened_ = 0;
   ++num_fixes_;
   fitted_yaw_ = fitted_yaw_ ? *fitted_yaw_ + kFittedShare * wrap_angle(pose.yaw - *fitted_yaw_) : pose.yaw;
-  fitted_scale_ = fitted_scale_ ? *fitted_scale_ + kFittedShare * (pose.scale - *fitted_scale_) : pose.scale;
+  fitted_scale_ = {std::log(pose.scale), pose.scale_stddev / pose.scale};
   // The heading is known from now on: of each keyframe, what was described under another one is of no use.
   for (Remembered& keyframe : keyframes_) {
     if (keyframe.variants.size() == 1) continue;
@@ -404,7 +427,7 @@ bool SubmapRegistrar::is_nearby() const {
 
 FitOptions SubmapRegistrar::fit_options(size_t variant) const {
   FitOptions options = options_.fit;
-  options.scale_stddev = scale_stddev();
+  options.scale_stddev = scale_before().stddev;
   if (fitted_scale_ && num_fixes_ >= kTaught) options.common_stddev = kTaughtStddev;
   options.heading_stddev = fitted_yaw_               ? kLearntTurnStddev
                            : options_.search_heading ? M_PI
@@ -414,9 +437,10 @@ FitOptions SubmapRegistrar::fit_options(size_t variant) const {
 }
 
 Alignment SubmapRegistrar::prior_alignment(size_t variant) const {
+  const double scale = std::exp(scale_before().log_scale);
   // What was found under another heading than the compass's is not for the compass to draw back.
-  if (!fitted_yaw_ && (options_.search_heading || variant > 0)) return {0, 1.0};
-  return {wrap_angle(yaw() - keyframes_.front().variants[variant].view->yaw), 1.0};
+  if (!fitted_yaw_ && (options_.search_heading || variant > 0)) return {0, scale};
+  return {wrap_angle(yaw() - keyframes_.front().variants[variant].view->yaw), scale};
 }
 
 std::vector<SubmapRegistrar::Candidate> SubmapRegistrar::fit_best_places() const {
@@ -524,6 +548,7 @@ Fix SubmapRegistrar::solve() {
       .num_keyframes = fix.num_keyframes,
       .is_expected = is_nearby() && (fit.en - expected_).norm() <= expected_radius_,
   };
+  aligned_before_ = standing.aligned_share;
   fix.evidence = evidence(standing);
   fix.reason = doubt(standing, options_);
   if (fix.reason.empty() && disagreement > 0) {
@@ -535,16 +560,20 @@ Fix SubmapRegistrar::solve() {
     fix.num_inliers = static_cast<int>(fit.inliers);
   }
   const View& newest = *views(best.place.variant, 1).front();
+  if (fix.reason.empty() && fit.ok) {
+    way_scale_ = scale_of_way(views(best.place.variant, options_.max_keyframes),
+                              static_cast<size_t>(options_.pose_keyframes), fit, *index_, options_.evidence);
+  }
   // Fixes remember the ground; where there were none of late, the submap has to tell, of a place that is accepted.
   const bool remembered = ground_.known() && without_fix_ < options_.max_keyframes;
-  GroundLevel ground =
-      remembered || !fix.reason.empty()
-          ? ground_
-          : ground_along(views(best.place.variant, options_.max_keyframes), fit, *index_, options_.fit);
-  const FittedPose pose = fit.ok
-                              ? fit_pose(views(best.place.variant, options_.pose_keyframes), fit,
-                                         prior_alignment(best.place.variant), fit_options(best.place.variant), ground)
-                              : FittedPose{};
+  GroundLevel ground = remembered || !fix.reason.empty()
+                           ? ground_
+                           : ground_along(views(best.place.variant, options_.max_keyframes), fit, scale_after(fit),
+                                          *index_, options_.fit);
+  const FittedPose pose =
+      fit.ok ? fit_pose(views(best.place.variant, options_.pose_keyframes), fit, prior_alignment(best.place.variant),
+                        scale_after(fit), fit_options(best.place.variant), ground)
+             : FittedPose{};
   const double odometry_heading = heading_of(newest.keyframe.q_W_B);
   const double yaw = pose.ok ? pose.yaw : wrap_angle(odometry_heading - heading_.value);
   const Eigen::Vector2d en = pose.ok ? pose.p_G_B.head<2>() : best.place.en;

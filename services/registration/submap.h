@@ -26,6 +26,7 @@
 #include "services/registration/held_place.h"
 #include "services/registration/place_fit.h"
 #include "services/registration/place_search.h"
+#include "services/registration/scale_of_way.h"
 #include "services/registration/view.h"
 
 namespace orthonav::registration {
@@ -135,7 +136,13 @@ class SubmapRegistrar {
   void thin_out();
   std::vector<const View*> views(size_t variant, int count) const;
   Alignment expected(const View& view, size_t variant) const;
-  double scale_stddev() const;  // of the odometry, before the map says better
+  double odometry_scale_stddev() const;  // by its own word
+  // Before a fit: by the odometry's word and by the way to the fix before. After it: by its matches and the way, too.
+  ScaleBelief scale_before() const;
+  ScaleBelief scale_after(const PlaceFit& fit) const;
+  // Under which a keyframe is described and looked for, and how far from it.
+  ScaleBelief expected_scale() const;
+  double searched_scale_stddev() const;
   std::vector<Alignment> alignments_for(size_t variant, const View& view, double lever, double step) const;
   // With the newest keyframes, at full resolution, within radius_.
   void search_nearby(const PositionPrior& prior, size_t variant);
@@ -182,12 +189,15 @@ class SubmapRegistrar {
   // Compass less odometry: the yaw of W in G by the mean of the session's headings, and what the fixes made of it.
   double compass_yaw_ = 0;
   int num_headings_ = 0;
-  std::optional<double> fitted_yaw_, fitted_scale_;
-  GroundLevel ground_;   // of the session's fixes
-  HeldPlace held_;       // of the session's keyframes that were searched for widely
-  int without_fix_ = 0;  // keyframes since the last fix
-  int widened_ = 0;      // those since the last fix where the aircraft was expected
-  int num_fixes_ = 0;    // of the session
+  std::optional<double> fitted_yaw_;
+  std::optional<ScaleBelief> fitted_scale_;  // of the newest fix
+  std::optional<ScaleBelief> way_scale_;     // of the way to it
+  double aligned_before_ = 0;                // share of the points at the place found last
+  GroundLevel ground_;                       // of the session's fixes
+  HeldPlace held_;                           // of the session's keyframes that were searched for widely
+  int without_fix_ = 0;                      // keyframes since the last fix
+  int widened_ = 0;                          // those since the last fix where the aircraft was expected
+  int num_fixes_ = 0;                        // of the session
 
   std::string refused_;
   std::vector<Place> places_;

@@ -1,6 +1,7 @@
 // What registration works on, free of any message type.
 #pragma once
 
+#include <cmath>
 #include <cstdint>
 #include <limits>
 #include <vector>
@@ -30,6 +31,18 @@ struct Keyframe {
   double scale_stddev = std::numeric_limits<double>::quiet_NaN();  // of the odometry, relative; NaN: unknown
   std::vector<TrackedPoint> points;
 };
+
+// What is known of the odometry's scale: of the logarithm of true displacement over the odometry's.
+struct ScaleBelief {
+  double log_scale = 0;
+  double stddev = 0;
+};
+
+// Two that know nothing of each other, as one.
+inline ScaleBelief both(const ScaleBelief& a, const ScaleBelief& b) {
+  const double of_a = 1 / (a.stddev * a.stddev), of_b = 1 / (b.stddev * b.stddev);
+  return {(of_a * a.log_scale + of_b * b.log_scale) / (of_a + of_b), 1 / std::sqrt(of_a + of_b)};
+}
 
 // True heading of the body's x axis, clockwise from true north.
 struct Heading {

@@ -13,6 +13,9 @@
 namespace orthonav::registration {
 namespace {
 
+// Of the height: points so far below the body lie on no ground that is in view; they were triangulated badly.
+constexpr double kFurthest = 3;
+
 // `factor`: by which the descriptor is shorter than those of the map.
 template <int size>
 Background background_of(const uint8_t* descriptor, double factor, const MapIndex::Spread<size>& spread) {
@@ -68,6 +71,7 @@ View make_view(const Keyframe& keyframe, const cv::Mat& image, const CameraModel
     const TrackedPoint& tracked = keyframe.points[i];
     if (!usable(tracked) || tracked.reprojection_error > options.max_reprojection_error) continue;
     if (!camera.contains(tracked.pixel)) continue;
+    if (keyframe.p_W_B.z() - tracked.p_W.z() > kFurthest * keyframe.height_above_ground) continue;
     ViewPoint point;
     point.index = static_cast<int>(i);
     point.ray = tracked.ray_C.head<2>() / tracked.ray_C.z();

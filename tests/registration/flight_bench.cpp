@@ -3,32 +3,27 @@
 //
 //   orthonav-replay --config config/rural --log flight.lcm --out odometry.lcm
 //   registration-flight-bench odometry.lcm flight.map.tif --config config/rural --method submap --prior-sigma 3
+//
+// With factors, how far fits follow an odometry whose world is that much too long or short (scale_bench.h):
+//
+//   registration-flight-bench odometry.lcm flight.map.tif --config config/rural --factors 0.85 0.9 1.1 1.15
 #include <cmath>
 #include <cstdio>
 #include <ctime>
 #include <filesystem>
-#include <map>
 #include <random>
 
 #include <CLI/CLI.hpp>
 #include <fmt/format.h>
 
-#include "common/bus/channels.h"
-#include "common/bus/keyframe_repeats.h"
 #include "common/camera/image_decode.h"
-#include "common/flightlog/flightlog.h"
-#include "common/geo/enu_frame.h"
 #include "common/math/so3.h"
 #include "common/math/statistics.h"
-#include "orthonav/compass_t.hpp"
-#include "orthonav/image_t.hpp"
-#include "orthonav/truth_t.hpp"
-#include "orthonav/vio_keyframe_t.hpp"
-#include "services/map_server/map_builder.h"
-#include "services/registration/heading_buffer.h"
 #include "services/registration/keyframe_message.h"
 #include "services/registration/registrar.h"
 #include "services/registration/submap.h"
+#include "tests/registration/recorded_flight.h"
+#include "tests/registration/scale_bench.h"
 
 namespace {
 
@@ -43,12 +38,7 @@ struct Arguments {
   double prior_sigma = 0;
   int max_keyframes = 0, every = 1, seed = 1, limit = 1 << 30;
   double size = 0;
-};
-
-struct Truth {
-  Eigen::Vector3d p_G;
-  Eigen::Vector2d map_offset;
-  double heading;
+  ScaleBench scale;
 };
 
 // Of the processor, for other programs may be running.
@@ -56,31 +46,13 @@ double now_ms() {
   return 1e3 * static_cast<double>(std::clock()) / CLOCKS_PER_SEC;
 }
 
-MapFeatures features_of(const map_server::MapDatabase& database) {
-  map_server::TileFeatures all = database.all_tiles(0);
-  MapFeatures features;
-  features.descriptors =
-      cv::Mat(static_cast<int>(all.positions.size()), kSiftBytes, CV_8U, all.descriptors.data()).clone();
-  features.positions = std::move(all.positions);
-  return features;
-}
-
 void run(const Arguments& arguments) {
-  map_server::BuildOptions build = map_server::ServerOptions::from_config(arguments.config).build;
-  build.features = arguments.method == "submap" ? map_server::FeatureKind::kRootSift
-                   : arguments.method == "m2"   ? map_server::FeatureKind::kSift
-                                                : map_server::FeatureKind::kGrid;
-  if (arguments.size > 0) build.keypoint_size = arguments.size;
-  const map_server::MapDatabase database(map_server::prepare_map(arguments.map, build, {}));
-  const auto& description = database.levels().front();
-  const EnuFrame frame(description.anchor);
-  const MapGeometry geometry{description.metres_per_pixel, description.keypoint_size, description.keypoint_stride};
-
-  ConfigNode aircraft = ConfigNode::load(arguments.config / "aircraft.yaml");
-  ConfigNode camera_node = aircraft.child("camera");
-  const CameraModel camera = CameraModel::from_config(camera_node);
-  double declination_deg = 0;
-  aircraft.require("magnetic_declination_deg", declination_deg);
+  const map_server::FeatureKind kind = arguments.method == "submap" ? map_server::FeatureKind::kRootSift
+                                       : arguments.method == "m2"   ? map_server::FeatureKind::kSift
+                                                                    : map_server::FeatureKind::kGrid;
+  BenchMap map = load_map(arguments.map, arguments.config, kind, arguments.size);
+  const BenchAircraft aircraft = load_bench_aircraft(arguments.config);
+  const CameraModel& camera = aircraft.camera;
 
   ConfigNode node = ConfigNode::load(arguments.config / "registration.yaml");
   SubmapOptions submap_options = SubmapOptions::from_config(node);
@@ -96,29 +68,24 @@ void run(const Arguments& arguments) {
   }
   Registrar registrar(options, camera);
   if (arguments.method == "submap") {
-    submap.set_map(features_of(database), geometry);
+    submap.set_map(std::move(map.features), map.geometry);
   } else {
-    registrar.set_map(features_of(database), geometry);
+    registrar.set_map(std::move(map.features), map.geometry);
   }
 
   std::FILE* csv = arguments.csv.empty() ? nullptr : std::fopen(arguments.csv.c_str(), "w");
-  std::map<int64_t, image_t> images;
-  std::map<int64_t, Truth> truths;
-  HeadingBuffer headings(300'000);
   std::mt19937_64 random(static_cast<uint64_t>(arguments.seed));
   std::normal_distribution<double> normal;
   int tried = 0, near = 0, accepted = 0, false_fixes = 0, keyframe_count = 0;
   std::vector<double> errors, horizontal, vertical, nees, nees_horizontal, nees_vertical, times, describe_times,
       search_times, biases;
-  const auto judge = [&](const vio_keyframe_t& message) {
+  const auto judge = [&](const BenchKeyframe& each) {
     if (keyframe_count++ % arguments.every != 0 || tried >= arguments.limit) return;
-    const auto image = images.find(message.utime);
-    const auto truth = truths.find(message.utime);
-    const auto heading = headings.at(message.utime);
-    if (image == images.end() || truth == truths.end() || !heading) return;
+    const vio_keyframe_t& message = each.message;
+    const Heading& heading = each.heading;
     const Keyframe keyframe = keyframe_of(message);
-    const DecodedImage decoded = decode_image(image->second, camera.width(), camera.height());
-    const Truth& is = truth->second;
+    const DecodedImage decoded = decode_image(*each.image, camera.width(), camera.height());
+    const Truth& is = each.truth;
     const double start = now_ms();
     double described = start, searched = start;
     Fix fix;
@@ -129,22 +96,22 @@ void run(const Arguments& arguments) {
             PositionPrior{is.p_G.head<2>() + arguments.prior_sigma * Eigen::Vector2d(normal(random), normal(random)),
                           arguments.prior_sigma};
       }
-      submap.describe(keyframe, message.session, decoded.grey, *heading);
+      submap.describe(keyframe, message.session, decoded.grey, heading);
       described = now_ms();
       submap.search(prior);
       searched = now_ms();
       fix = submap.solve();
     } else {
-      const Query query = registrar.describe(keyframe, decoded.grey, *heading);
+      const Query query = registrar.describe(keyframe, decoded.grey, heading);
       described = now_ms();
       const auto matches = registrar.match(query);
       searched = now_ms();
-      fix = registrar.solve(keyframe, query, matches, *heading);
+      fix = registrar.solve(keyframe, query, matches, heading);
     }
     const double end = now_ms();
     map_fix_t out;
-    fill_fix(fix, frame, out);
-    double used = heading->value + (std::isfinite(fix.heading_correction) ? fix.heading_correction : 0);
+    fill_fix(fix, map.frame, out);
+    double used = heading.value + (std::isfinite(fix.heading_correction) ? fix.heading_correction : 0);
     Eigen::Vector2d implied(NAN, NAN);
     if (arguments.method == "submap" || arguments.method == "paper") {
       implied = (rotation_G_W(keyframe.q_W_B, used) * keyframe.p_W_B).head<2>() + fix.translation;
@@ -181,35 +148,11 @@ void run(const Arguments& arguments) {
                  message.utime, fix.num_keyframes, miss, fix.log_likelihood, fix.log_likelihood_ratio, fix.num_inliers,
                  fix.num_query, fix.num_second_inliers, fix.valid ? 1 : 0, error.x(), error.y(), error.z(),
                  std::sqrt(fix.covariance(0, 0)), std::sqrt(fix.covariance(2, 2)), fix.scale, fix.scale_stddev,
-                 180 / M_PI * wrap_angle(used - is.heading), 180 / M_PI * wrap_angle(heading->value - is.heading),
+                 180 / M_PI * wrap_angle(used - is.heading), 180 / M_PI * wrap_angle(heading.value - is.heading),
                  end - start, is.map_offset.x(), is.map_offset.y(), fix.evidence, fix.reason);
     }
   };
-  KeyframeRepeats repeats;
-  LogReader reader(arguments.log);
-  while (const auto event = reader.next()) {
-    if (event->channel == channel::kCamera) {
-      if (const auto image = event->decode<image_t>()) images[image->utime] = *image;
-      while (images.size() > 150) images.erase(images.begin());
-    } else if (event->channel == channel::kCompass) {
-      const auto compass = event->decode<compass_t>();
-      if (!compass) continue;
-      headings.add(compass->utime, {true_heading(compass->heading, declination_deg * M_PI / 180),
-                                    compass->heading_stddev > 0 ? compass->heading_stddev : M_PI / 60});
-    } else if (event->channel == channel::kTruth) {
-      const auto truth = event->decode<truth_t>();
-      if (!truth) continue;
-      Truth sample;
-      sample.p_G = frame.to_enu({truth->latitude_deg, truth->longitude_deg, truth->ellipsoidal_height});
-      sample.map_offset = {truth->map_offset_en[0], truth->map_offset_en[1]};
-      sample.heading =
-          heading_of(Eigen::Quaterniond(truth->q_ENU_B[0], truth->q_ENU_B[1], truth->q_ENU_B[2], truth->q_ENU_B[3]));
-      truths[truth->utime] = sample;
-    } else if (event->channel == channel::kVioKeyframe) {
-      const auto keyframe = event->decode<vio_keyframe_t>();
-      if (keyframe && !repeats.add(*keyframe)) judge(*keyframe);
-    }
-  }
+  for_each_keyframe(arguments.log, map.frame, aircraft.declination, true, judge);
   if (csv != nullptr) std::fclose(csv);
   const auto mean = [](const std::vector<double>& values) {
     double sum = 0;
@@ -221,7 +164,7 @@ void run(const Arguments& arguments) {
       "horizontal {:.2f}, vertical {:.2f} (bias {:.2f}); nees {:.2f} (3), horizontal {:.2f} (2), vertical {:.2f} (1); "
       "time median {:.2f} ms, describe {:.2f}, search {:.2f}, p95 {:.2f}\n",
       arguments.log.stem().string(), arguments.map.filename().string(), arguments.method, bounded ? "bounded" : "cold",
-      tried, description.num_features, 100.0 * near / tried, 100.0 * accepted / tried, false_fixes, median(errors),
+      tried, map.num_features, 100.0 * near / tried, 100.0 * accepted / tried, false_fixes, median(errors),
       median(horizontal), median(vertical), median(biases), mean(nees), mean(nees_horizontal), mean(nees_vertical),
       median(times), median(describe_times), median(search_times), quantile(times, 0.95));
 }
@@ -246,10 +189,22 @@ int main(int argc, char** argv) {
   app.add_option("--evidence-threshold", arguments.evidence.threshold);
   app.add_option("--evidence-limit", arguments.evidence.limit);
   app.add_option("--coarse-places", arguments.coarse_places);
+  app.add_option("--factors", arguments.scale.factors, "of the odometry's world: prints how far fits follow each");
+  app.add_option("--factor-seconds", arguments.scale.seconds, "of the flight that the factors apply to; 0: all of it");
   CLI11_PARSE(app, argc, argv);
   cv::setNumThreads(1);
   try {
-    run(arguments);
+    if (arguments.scale.factors.empty()) {
+      run(arguments);
+    } else {
+      arguments.scale.log = arguments.log;
+      arguments.scale.map = arguments.map;
+      arguments.scale.config = arguments.config;
+      arguments.scale.csv = arguments.csv;
+      if (arguments.prior_sigma > 0) arguments.scale.prior_stddev = arguments.prior_sigma;
+      arguments.scale.seed = arguments.seed;
+      run(arguments.scale);
+    }
   } catch (const std::exception& error) {
     fmt::print(stderr, "{}\n", error.what());
     return 1;

@@ -247,7 +247,7 @@ TEST_F(SubmapTest, AWoodUnderTheFirstFixIsToldFromTheFieldsBeforeIt) {
     const std::vector<View> views = flight_onto_a_wood(over_fields, over_the_wood);
     std::vector<const View*> pointers;
     for (const View& view : views) pointers.push_back(&view);
-    return ground_along(pointers, fit, index, {}).level();
+    return ground_along(pointers, fit, {}, index, {}).level();
   };
   EXPECT_NEAR(level(5, 1), 120, 0.5);
   EXPECT_NEAR(level(3, 4), 120, 1.0);

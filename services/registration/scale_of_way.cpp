@@ -1,0 +1,67 @@
+#include "services/registration/scale_of_way.h"
+
+#include <algorithm>
+#include <cmath>
+
+#include <Eigen/Cholesky>
+
+namespace orthonav::registration {
+namespace {
+
+// What the place of one keyframe errs by, each of east and north: the map's warp, m, and the odometry's vertical, rad,
+// times the height; and of the way to it, what the odometry's changes of scale and heading make of it.
+constexpr double kWarpStddev = 0.5, kVerticalStddev = 0.007, kWayStddev = 0.01;
+// Standard deviations within which a keyframe has to be found, for a scale that changed bends the way slowly, and how
+// many in a row may not be; and within which all of them have to agree with what the newest show.
+constexpr double kGate = 2, kAgree = 3;
+constexpr int kMostMissing = 1;
+
+}  // namespace
+
+std::optional<ScaleBelief> scale_of_way(const std::vector<const View*>& views, size_t fitted, const PlaceFit& fit,
+                                        const MapIndex& index, const EvidenceOptions& options) {
+  const ScaleBelief& scale = fit.scale;
+  const View& newest = *views.front();
+  const double of_place = std::hypot(kWarpStddev, kVerticalStddev * newest.keyframe.height_above_ground);
+  // Corrections of place, turn and log scale, and their covariance.
+  Eigen::Vector4d state(0, 0, 0, scale.log_scale - std::log(fit.alignment.scale));
+  Eigen::Matrix4d covariance =
+      Eigen::Vector4d(of_place, of_place, fit.turn_stddev, scale.stddev).array().square().matrix().asDiagonal();
+  int missing = 0;
+  for (size_t k = fitted; k < views.size() && missing <= kMostMissing; ++k) {
+    const View& view = *views[k];
+    const Eigen::Vector2d way =
+        fit.alignment.from_W(newest.yaw) * (view.keyframe.p_W_B - newest.keyframe.p_W_B).head<2>();
+    Eigen::Matrix<double, 2, 4> jacobian;
+    jacobian << 1, 0, -way.y(), way.x(),  //
+        0, 1, way.x(), way.y();
+    const double variance = of_place * of_place + kWayStddev * kWayStddev * way.squaredNorm();
+    const Eigen::Matrix2d spread =
+        jacobian * covariance * jacobian.transpose() + variance * Eigen::Matrix2d::Identity();
+    const Alignment alignment{fit.alignment.turn + newest.yaw - view.yaw + state(2),
+                              fit.alignment.scale * std::exp(state(3))};
+    const Eigen::Vector2d expected = fit.en + way + jacobian * state;
+    const double radius = kGate * std::sqrt(spread.diagonal().maxCoeff());
+    const std::optional<Eigen::Vector2d> place = peak_near({&view}, index, alignment, expected, radius, options);
+    const Eigen::Vector2d off = place ? Eigen::Vector2d(*place - expected) : Eigen::Vector2d::Zero();
+    const Eigen::LDLT<Eigen::Matrix2d> solver(spread);
+    if (!place || off.dot(solver.solve(off)) > kGate * kGate) {
+      ++missing;
+      continue;
+    }
+    missing = 0;
+    const Eigen::Matrix<double, 4, 2> gain = solver.solve(jacobian * covariance).transpose();
+    state += gain * off;
+    covariance -= gain * jacobian * covariance;
+  }
+  // Less what was known before.
+  const double before = 1 / (scale.stddev * scale.stddev), after = 1 / covariance(3, 3);
+  if (!(after > 2 * before)) return std::nullopt;
+  const double log_scale = std::log(fit.alignment.scale) + state(3);
+  const ScaleBelief way{(after * log_scale - before * scale.log_scale) / (after - before),
+                        1 / std::sqrt(after - before)};
+  if (std::abs(way.log_scale - scale.log_scale) > kAgree * std::hypot(way.stddev, scale.stddev)) return std::nullopt;
+  return way;
+}
+
+}  // namespace orthonav::registration
