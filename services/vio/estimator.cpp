@@ -113,6 +113,7 @@ Estimator::Status Estimator::process(int64_t utime, const std::vector<TrackedFea
   } else {
     add_frame(utime, imu);
   }
+  imu_noise_.see(imu, noise_);
   add_observations(features, imu);
   watch_standstill(utime, features, imu);
   Frame& newest = *frames_.back();

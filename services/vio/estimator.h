@@ -214,6 +214,7 @@ class Estimator {
   void recall_height(Frame& frame) const;
   void thin_out();
   bool solve_start();
+  void weigh_imu();
   bool learn_imu_noise();
   bool fits_better_at_another_scale(double cost);
   void start_prior(const SharedValues& shared, double gyro_sigma);

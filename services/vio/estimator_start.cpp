@@ -140,8 +140,11 @@ void Estimator::thin_out() {
 
 bool Estimator::solve_start() {
   const SharedValues before = shared_.state;
+  const ImuNoiseMeter noise_before = imu_noise_;
   const auto give_up = [&](const std::string& why) {
     reason_ = why;
+    imu_noise_ = noise_before;
+    weigh_imu();
     shared_.state = before;
     extrinsics_ = before.extrinsics();
     for (auto& [id, landmark] : landmarks_) landmark.has_depth = false;
@@ -220,6 +223,16 @@ bool Estimator::solve_start() {
   return true;
 }
 
+// Integrates the window's motions with the noise that the sensor is known to have.
+void Estimator::weigh_imu() {
+  const ImuVariances& variances = imu_noise_.variances();
+  for (size_t k = 1; k < frames_.size(); ++k) {
+    if (frames_[k]->variances == variances) continue;
+    frames_[k]->variances = variances;
+    frames_[k]->imu->reweigh(variances.applied_to(noise_));
+  }
+}
+
 // A step towards the noise that the motions of a start say the sensor has; whether it was a long one.
 bool Estimator::learn_imu_noise() {
   constexpr double kLong = 1.1;  // of a variance
@@ -233,10 +246,7 @@ bool Estimator::learn_imu_noise() {
     mean.accel += share * one.accel;
   }
   imu_noise_.learn(mean, 1);
-  for (size_t k = 1; k < frames_.size(); ++k) {
-    frames_[k]->variances = imu_noise_.variances();
-    frames_[k]->imu->reweigh(imu_noise_.variances().applied_to(noise_));
-  }
+  weigh_imu();
   const ImuVariances& now = imu_noise_.variances();
   return now.gyro > kLong * before.gyro || now.accel > kLong * before.accel;
 }

@@ -8,6 +8,8 @@
 // Not thread-safe; a value.
 #pragma once
 
+#include <vector>
+
 #include <Eigen/Core>
 
 #include "services/vio/preintegration.h"
@@ -19,6 +21,7 @@ struct ImuVariances {
   double gyro = 1, accel = 1;
 
   ImuNoise applied_to(ImuNoise sheet) const;
+  bool operator==(const ImuVariances&) const = default;
 };
 
 class ImuNoiseMeter {
@@ -29,6 +32,9 @@ class ImuNoiseMeter {
   // state of Preintegration, which was made with `integrated_with`).
   static ImuVariances heard(const Vector15& residual, const Vector15& unknown, const ImuVariances& integrated_with);
 
+  // Samples between two frames; those at both ends may be interpolated and do not count.
+  void see(const std::vector<ImuSample>& samples, const ImuNoise& sheet);
+
   // Takes over `share` (0 ... 1) of it.
   void learn(const ImuVariances& heard, double share);
 
@@ -36,6 +42,8 @@ class ImuNoiseMeter {
 
  private:
   ImuVariances variances_;
+  ImuVariances scatter_{0, 0};  // means of so many differences
+  double seen_ = 0;
 };
 
 }  // namespace orthonav::vio
