@@ -20,7 +20,7 @@ constexpr double kMinResidual = 0.05;
 constexpr double kInlierWeight = 0.1;
 constexpr double kConverged = 1e-3;  // m: steps that move no point by more are the last
 // Matches are sought anew where the fit has come to, until it moves no point by more, m, or so many times.
-constexpr double kSettled = 0.3;
+constexpr double kSettled = 1;
 constexpr int kMostRounds = 4;
 constexpr double kAnyStretch = 0.3;
 
@@ -281,7 +281,8 @@ PlaceFit fit_place(const std::vector<const View*>& views, const MapIndex& index,
   solve(views, index.pitch(), 0.7 * index.pitch(), options, prior, fit);
   const double lever = furthest(views);
   for (int round = 0; fit.ok && round < kMostRounds; ++round) {
-    const PlaceFit before = fit;
+    const Eigen::Vector2d en = fit.en;
+    const Alignment before = fit.alignment;
     if (round > 0) {
       // Of all points: those that were left out for lying elsewhere under the fit before, too.
       fit.points = associate(views, index, fit, 1.5, options.min_excess);
@@ -289,9 +290,9 @@ PlaceFit fit_place(const std::vector<const View*>& views, const MapIndex& index,
     }
     align_points(views, index, metres_per_pixel, fit);
     solve(views, index.pitch(), 0.4 * index.pitch(), options, prior, fit);
-    const double turned = std::abs(fit.alignment.turn - before.alignment.turn);
-    const double stretched = std::abs(std::log(fit.alignment.scale / before.alignment.scale));
-    if ((fit.en - before.en).norm() + lever * (turned + stretched) < kSettled) break;
+    const double turned = std::abs(fit.alignment.turn - before.turn);
+    const double stretched = std::abs(std::log(fit.alignment.scale / before.scale));
+    if ((fit.en - en).norm() + lever * (turned + stretched) < kSettled) break;
   }
   return fit;
 }

@@ -11,10 +11,13 @@ namespace {
 // What the place of one keyframe errs by, each of east and north: the map's warp, m, and the odometry's vertical, rad,
 // times the height; and of the way to it, what the odometry's changes of scale and heading make of it.
 constexpr double kWarpStddev = 0.5, kVerticalStddev = 0.007, kWayStddev = 0.01;
+// Neighbours err together: so many count as one.
+constexpr double kTogether = 3;
 // Standard deviations within which a keyframe has to be found, for a scale that changed bends the way slowly, and how
-// many in a row may not be; and within which all of them have to agree with what the newest show.
-constexpr double kGate = 2, kAgree = 3;
+// many in a row may not be.
+constexpr double kGate = 2;
 constexpr int kMostMissing = 1;
+constexpr double kNews = 1.25;  // of the information that there was before
 
 }  // namespace
 
@@ -50,18 +53,18 @@ std::optional<ScaleBelief> scale_of_way(const std::vector<const View*>& views, s
       continue;
     }
     missing = 0;
-    const Eigen::Matrix<double, 4, 2> gain = solver.solve(jacobian * covariance).transpose();
+    const Eigen::Matrix2d weighed = spread + (kTogether - 1) * variance * Eigen::Matrix2d::Identity();
+    const Eigen::Matrix<double, 4, 2> gain = weighed.ldlt().solve(jacobian * covariance).transpose();
     state += gain * off;
     covariance -= gain * jacobian * covariance;
   }
   // Less what was known before.
   const double before = 1 / (scale.stddev * scale.stddev), after = 1 / covariance(3, 3);
-  if (!(after > 2 * before)) return std::nullopt;
+  if (!(after > kNews * before)) return std::nullopt;
   const double log_scale = std::log(fit.alignment.scale) + state(3);
   const ScaleBelief way{(after * log_scale - before * scale.log_scale) / (after - before),
                         1 / std::sqrt(after - before)};
-  if (std::abs(way.log_scale - scale.log_scale) > kAgree * std::hypot(way.stddev, scale.stddev)) return std::nullopt;
-  return way;
+  return agree(way, scale) ? std::optional(way) : std::nullopt;
 }
 
 }  // namespace orthonav::registration

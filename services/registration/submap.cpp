@@ -33,6 +33,8 @@ constexpr double kTurnStep = 9 * kRadian, kFurthestTurn = 4.5;
 // Of the newest points, the share that has to stay aligned for their fit to be believed without asking the rest of the
 // submap: with less, fits over crops in rows and woods were rows and crowns off, up to 25 m.
 constexpr double kSureShare = 0.2;
+// Of what it was, over some ten keyframes: where it falls below this the scale may have changed.
+constexpr double kFewer = 0.5, kFewerMemory = 0.1;
 // What the share of points that stay aligned with the map counts, beside the likelihood as a share of the highest,
 // where places are put in order: the points are those of the newest keyframes, which may see a wood, the likelihood is
 // the whole submap's. At 3, `rural` 5 `years` took the less likely of two places for 40 s.
@@ -251,12 +253,26 @@ double SubmapRegistrar::odometry_scale_stddev() const {
 // Where no way says better the matches are left to say what they say: drawn to a scale they are sought, and found,
 // where that has them. That they have become few may be the scale's fault.
 ScaleBelief SubmapRegistrar::scale_before() const {
-  if (!way_scale_ || aligned_before_ < kSureShare) return {expected_scale().log_scale, kLargestScaleStddev};
+  if (!way_scale_ || scale_may_have_changed()) return {expected_scale().log_scale, kLargestScaleStddev};
   return with_odometry(*way_scale_, odometry_scale_stddev());
 }
 
 ScaleBelief SubmapRegistrar::scale_after(const PlaceFit& fit) const {
   return with_odometry(way_scale_ ? both(*way_scale_, fit.scale) : fit.scale, odometry_scale_stddev());
+}
+
+void SubmapRegistrar::ask_the_way(const PlaceFit& fit, size_t variant) {
+  const Keyframe& newest = keyframes_.front().keyframe();
+  const double flown = (newest.p_W_B - way_asked_).head<2>().norm();
+  const bool known = way_scale_ && agree(*way_scale_, fit.scale);
+  if (known && flown < options_.keyframe_spacing * newest.height_above_ground) return;
+  way_asked_ = newest.p_W_B;
+  way_scale_ = scale_of_way(views(variant, options_.max_keyframes), static_cast<size_t>(options_.pose_keyframes), fit,
+                            *index_, options_.evidence);
+}
+
+bool SubmapRegistrar::scale_may_have_changed() const {
+  return aligned_of_late_ < kFewer * aligned_;
 }
 
 // Where nothing was found of late the scale is as doubtful as the place, and the odometry says as much as the last fix.
@@ -269,7 +285,8 @@ ScaleBelief SubmapRegistrar::expected_scale() const {
 double SubmapRegistrar::searched_scale_stddev() const {
   // On the whole map more scales would be more chances for a wrong place.
   if (!std::isfinite(radius_)) return fitted_scale_ ? kFittedScaleStddev : options_.fit.scale_stddev;
-  return std::clamp(scale_before().stddev, kFittedScaleStddev, kLargestScaleStddev);
+  if (num_fixes_ < kTaught || scale_may_have_changed()) return kLargestScaleStddev;
+  return std::clamp(expected_scale().stddev, kFittedScaleStddev, kLargestScaleStddev);
 }
 
 std::vector<Alignment> SubmapRegistrar::alignments_for(size_t variant, const View& view, double lever,
@@ -479,15 +496,18 @@ double SubmapRegistrar::submap_give() const {
 double SubmapRegistrar::agree_with_submap(Candidate& candidate) const {
   const double give = submap_give();
   if (!candidate.fit.ok || aligned_share(candidate) >= kSureShare) return 0;
-  // As far back as the odometry's scale lets its keyframes lie where they are taken to lie.
+  // As far back as the scale lets its keyframes lie where they are taken to lie; that of all that is known of it, for
+  // the newest alone are seen stretched.
+  const ScaleBelief scale = scale_after(candidate.fit);
   std::vector<const View*> submap = views(candidate.place.variant, options_.max_keyframes);
   const auto is_far = [&](const View* view) {
     const Eigen::Vector3d way = view->keyframe.p_W_B - submap.front()->keyframe.p_W_B;
-    return way.head<2>().norm() * kFittedScaleStddev > give;
+    return way.head<2>().norm() * std::max(kFittedScaleStddev, scale.stddev) > give;
   };
   submap.erase(std::remove_if(submap.begin() + 1, submap.end(), is_far), submap.end());
-  const Eigen::Vector2d place = likeliest_place(submap, *index_, candidate.fit.alignment, candidate.fit.en,
-                                                options_.second_distance, options_.evidence);
+  const Alignment alignment{candidate.fit.alignment.turn, std::exp(scale.log_scale)};
+  const Eigen::Vector2d place =
+      likeliest_place(submap, *index_, alignment, candidate.fit.en, options_.second_distance, options_.evidence);
   const double off = (place - candidate.fit.en).norm();
   if (off <= give) return 0;
   const PlaceFit again = fit_place(views(candidate.place.variant, options_.pose_keyframes), *index_,
@@ -548,7 +568,8 @@ Fix SubmapRegistrar::solve() {
       .num_keyframes = fix.num_keyframes,
       .is_expected = is_nearby() && (fit.en - expected_).norm() <= expected_radius_,
   };
-  aligned_before_ = standing.aligned_share;
+  aligned_of_late_ = standing.aligned_share;
+  aligned_ += kFewerMemory * (aligned_of_late_ - aligned_);
   fix.evidence = evidence(standing);
   fix.reason = doubt(standing, options_);
   if (fix.reason.empty() && disagreement > 0) {
@@ -560,10 +581,7 @@ Fix SubmapRegistrar::solve() {
     fix.num_inliers = static_cast<int>(fit.inliers);
   }
   const View& newest = *views(best.place.variant, 1).front();
-  if (fix.reason.empty() && fit.ok) {
-    way_scale_ = scale_of_way(views(best.place.variant, options_.max_keyframes),
-                              static_cast<size_t>(options_.pose_keyframes), fit, *index_, options_.evidence);
-  }
+  if (fix.reason.empty() && fit.ok) ask_the_way(fit, best.place.variant);
   // Fixes remember the ground; where there were none of late, the submap has to tell, of a place that is accepted.
   const bool remembered = ground_.known() && without_fix_ < options_.max_keyframes;
   GroundLevel ground = remembered || !fix.reason.empty()

@@ -140,6 +140,9 @@ class SubmapRegistrar {
   // Before a fit: by the odometry's word and by the way to the fix before. After it: by its matches and the way, too.
   ScaleBelief scale_before() const;
   ScaleBelief scale_after(const PlaceFit& fit) const;
+  // Asks the way over the map for the scale, where new ground was seen since or the fit contradicts what it said.
+  void ask_the_way(const PlaceFit& fit, size_t variant);
+  bool scale_may_have_changed() const;
   // Under which a keyframe is described and looked for, and how far from it.
   ScaleBelief expected_scale() const;
   double searched_scale_stddev() const;
@@ -190,14 +193,15 @@ class SubmapRegistrar {
   double compass_yaw_ = 0;
   int num_headings_ = 0;
   std::optional<double> fitted_yaw_;
-  std::optional<ScaleBelief> fitted_scale_;  // of the newest fix
-  std::optional<ScaleBelief> way_scale_;     // of the way to it
-  double aligned_before_ = 0;                // share of the points at the place found last
-  GroundLevel ground_;                       // of the session's fixes
-  HeldPlace held_;                           // of the session's keyframes that were searched for widely
-  int without_fix_ = 0;                      // keyframes since the last fix
-  int widened_ = 0;                          // those since the last fix where the aircraft was expected
-  int num_fixes_ = 0;                        // of the session
+  std::optional<ScaleBelief> fitted_scale_;              // of the newest fix
+  std::optional<ScaleBelief> way_scale_;                 // of the way to it
+  Eigen::Vector3d way_asked_ = Eigen::Vector3d::Zero();  // m in W, where it was
+  double aligned_of_late_ = 0, aligned_ = 0;  // shares of the points, at the place found last and in the mean
+  GroundLevel ground_;                        // of the session's fixes
+  HeldPlace held_;                            // of the session's keyframes that were searched for widely
+  int without_fix_ = 0;                       // keyframes since the last fix
+  int widened_ = 0;                           // those since the last fix where the aircraft was expected
+  int num_fixes_ = 0;                         // of the session
 
   std::string refused_;
   std::vector<Place> places_;

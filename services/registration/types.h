@@ -44,6 +44,11 @@ inline ScaleBelief both(const ScaleBelief& a, const ScaleBelief& b) {
   return {(of_a * a.log_scale + of_b * b.log_scale) / (of_a + of_b), 1 / std::sqrt(of_a + of_b)};
 }
 
+// Whether two such can be of one scale.
+inline bool agree(const ScaleBelief& a, const ScaleBelief& b) {
+  return std::abs(a.log_scale - b.log_scale) <= 3 * std::hypot(a.stddev, b.stddev);
+}
+
 // True heading of the body's x axis, clockwise from true north.
 struct Heading {
   double value = 0;   // rad
