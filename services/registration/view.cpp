@@ -2,7 +2,9 @@
 
 #include <algorithm>
 #include <cmath>
+#include <set>
 #include <stdexcept>
+#include <utility>
 
 #include <fmt/format.h>
 #include <opencv2/imgproc.hpp>
@@ -67,6 +69,7 @@ View make_view(const Keyframe& keyframe, const cv::Mat& image, const CameraModel
   const Eigen::Vector3d east = R_G_C.transpose() * Eigen::Vector3d(step, 0, 0);
   const Eigen::Vector3d south = R_G_C.transpose() * Eigen::Vector3d(0, -step, 0);
   view.points.reserve(keyframe.points.size());
+  std::set<std::pair<int, int>> seen;  // cells of the map's size
   for (size_t i = 0; i < keyframe.points.size(); ++i) {
     const TrackedPoint& tracked = keyframe.points[i];
     if (!usable(tracked) || tracked.reprojection_error > options.max_reprojection_error) continue;
@@ -89,6 +92,9 @@ View make_view(const Keyframe& keyframe, const cv::Mat& image, const CameraModel
     point.jacobian = (stretch * jacobian).cast<float>();
     point.pixel = (stretch * (tracked.pixel.array() + 0.5) - 0.5).cast<float>();
     if (!view.field->describe(point.pixel, point.jacobian, point.descriptor.data())) continue;
+    // The map has one feature there: a second point says what the first one said.
+    const Eigen::Vector2i cell = (scale / index.pitch() * point.p_W.head<2>()).array().floor().cast<int>();
+    if (!seen.emplace(cell.x(), cell.y()).second) continue;
     coarsen(point.descriptor.data(), kCoarseQueryLength, point.coarse.data());
     point.background = background_of(point.descriptor.data(), 1, index.spread());
     point.coarse_background =
