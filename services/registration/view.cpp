@@ -31,6 +31,27 @@ Background background_of(const uint8_t* descriptor, double factor, const MapInde
   return background;
 }
 
+// Where there are more points than the ground that they cover has map features (`pitch` apart, m in W), leaves one to
+// each.
+void keep_witnesses(std::vector<ViewPoint>& points, double pitch) {
+  if (points.size() < 3) return;
+  std::vector<cv::Point2f> ground, hull;
+  for (const ViewPoint& point : points) {
+    const Eigen::Vector2d cells = (point.p_W - points.front().p_W).head<2>() / pitch;
+    ground.emplace_back(static_cast<float>(cells.x()), static_cast<float>(cells.y()));
+  }
+  cv::convexHull(ground, hull);
+  if (cv::contourArea(hull) >= static_cast<double>(points.size())) return;
+  std::set<std::pair<int, int>> taken;
+  size_t kept = 0;
+  for (size_t i = 0; i < points.size(); ++i) {
+    if (!taken.emplace(cvFloor(ground[i].x), cvFloor(ground[i].y)).second) continue;
+    if (kept != i) points[kept] = std::move(points[i]);
+    ++kept;
+  }
+  points.resize(kept);
+}
+
 }  // namespace
 
 View make_view(const Keyframe& keyframe, const cv::Mat& image, const CameraModel& camera, double true_heading,
@@ -69,7 +90,6 @@ View make_view(const Keyframe& keyframe, const cv::Mat& image, const CameraModel
   const Eigen::Vector3d east = R_G_C.transpose() * Eigen::Vector3d(step, 0, 0);
   const Eigen::Vector3d south = R_G_C.transpose() * Eigen::Vector3d(0, -step, 0);
   view.points.reserve(keyframe.points.size());
-  std::set<std::pair<int, int>> seen;  // cells of the map's size
   for (size_t i = 0; i < keyframe.points.size(); ++i) {
     const TrackedPoint& tracked = keyframe.points[i];
     if (!usable(tracked) || tracked.reprojection_error > options.max_reprojection_error) continue;
@@ -92,15 +112,13 @@ View make_view(const Keyframe& keyframe, const cv::Mat& image, const CameraModel
     point.jacobian = (stretch * jacobian).cast<float>();
     point.pixel = (stretch * (tracked.pixel.array() + 0.5) - 0.5).cast<float>();
     if (!view.field->describe(point.pixel, point.jacobian, point.descriptor.data())) continue;
-    // The map has one feature there: a second point says what the first one said.
-    const Eigen::Vector2i cell = (scale / index.pitch() * point.p_W.head<2>()).array().floor().cast<int>();
-    if (!seen.emplace(cell.x(), cell.y()).second) continue;
     coarsen(point.descriptor.data(), kCoarseQueryLength, point.coarse.data());
     point.background = background_of(point.descriptor.data(), 1, index.spread());
     point.coarse_background =
         background_of(point.coarse.data(), kCoarseLength / kCoarseQueryLength, index.coarse_spread());
     view.points.push_back(point);
   }
+  keep_witnesses(view.points, index.pitch() / scale);
   if (static_cast<int>(view.points.size()) <= options.min_points) {
     view.refused = fmt::format("{} usable points, more than {} are needed", view.points.size(), options.min_points);
   }

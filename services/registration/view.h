@@ -5,8 +5,8 @@
 // map's, and each point's descriptor is read off them through the view of flat ground below the camera: heading, tilt,
 // perspective and lens are taken into account point by point.
 //
-// Points within one cell of the map's grid are one witness: close above the ground 140 of them name the same few map
-// features, and made a place 310 m off the surest of a flight.
+// Points are no more witnesses than the ground that they cover has map features: close above it 140 of them name the
+// same few, and made a place 310 m off the surest of a flight.
 #pragma once
 
 #include <array>

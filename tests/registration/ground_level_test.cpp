@@ -117,5 +117,49 @@ TEST(GroundLevel, MayLieLowerUntilMoreThanAWoodWasSeen) {
   EXPECT_LT(ground.hidden_stddev(), 0.1);
 }
 
+// Levels 25 m too high, of a scale that was 25 % too long and sure of itself; then it is right.
+TEST(GroundLevel, GivesWayWithTheFirstRightScaleAfterAWrongOne) {
+  Scene scene;
+  GroundLevel ground;
+  const ScaleBelief wrong{0.22, 0.005}, right{0, 0.005};
+  for (int i = 0; i < 40; ++i) {
+    ground.add(scene.lifts(120, 0, 0, kHeight + 25), kHeight, at(0, 2.6 * i), kPerObservation, wrong);
+  }
+  ground.add(scene.lifts(120, 0, 0, kHeight), kHeight, at(0, 2.6 * 40), kPerObservation, right);
+  EXPECT_NEAR(ground.level(), kHeight, 1.0);
+}
+
+// The same where the scale comes to it by steps that are all within what is said of it.
+TEST(GroundLevel, GivesWayWhereTheScaleIsFoundStepByStep) {
+  Scene scene;
+  GroundLevel ground;
+  for (int i = 0; i < 60; ++i) {
+    const double off = 0.14 * std::max(0.0, 1 - i / 20.0);
+    ground.add(scene.lifts(120, 0, 0, kHeight * (1 + off)), kHeight, at(0, 2.6 * i), kPerObservation,
+               {std::log(1 + off), i < 20 ? 0.025 : 0.012});
+  }
+  EXPECT_NEAR(ground.level(), kHeight, 1.5);
+}
+
+TEST(GroundLevel, IsRememberedOverAWoodWhereTheScaleOnlyTrembles) {
+  Scene scene;
+  GroundLevel ground;
+  const auto scale = [](int i) { return ScaleBelief{i % 2 == 0 ? 0.003 : -0.003, 0.005}; };
+  for (int i = 0; i < 20; ++i) {
+    ground.add(scene.lifts(120, 0, 0, kHeight), kHeight, at(0, 2.6 * i), kPerObservation, scale(i));
+  }
+  for (int i = 20; i < 35; ++i) {
+    ground.add(scene.lifts(3, 117, 11, kHeight), kHeight, at(0, 2.6 * i), kPerObservation, scale(i));
+  }
+  EXPECT_NEAR(ground.level(), kHeight, 1.0);
+}
+
+TEST(GroundLevel, IsTheMeanCloseToTheGroundToo) {
+  Scene scene;
+  GroundLevel ground;
+  for (int i = 0; i < 20; ++i) ground.add(scene.lifts(120, 0, 0, 3), 3, at(0, 2 * i), kPerObservation);
+  EXPECT_NEAR(ground.level(), 3, 0.3);
+}
+
 }  // namespace
 }  // namespace orthonav::registration

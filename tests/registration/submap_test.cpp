@@ -347,6 +347,66 @@ TEST_F(SubmapTest, EstimatesTheErrorsOfCompassAndScaleFromAnUnknownStart) {
   }
 }
 
+// The same capture of an odometry whose world is `factor` times as large.
+Capture scaled(Capture capture, double factor) {
+  Keyframe& keyframe = capture.keyframe;
+  keyframe.p_W_B *= factor;
+  keyframe.height_above_ground *= factor;
+  for (TrackedPoint& point : keyframe.points) point.p_W *= factor;
+  return capture;
+}
+
+TEST_F(SubmapTest, FollowsAnOdometryThatIsFarTooLongOrShort) {
+  for (const double factor : {0.85, 0.9, 1.1, 1.15}) {
+    SubmapRegistrar registrar({}, test_camera());
+    registrar.set_map(features(), kMap);
+    Fix fix;
+    Capture capture;
+    for (int i = 0; i < 11; ++i) {
+      capture = scaled(ground_.capture({40.0 + 10 * i, -80, 60}, 1.0, 0.03, -0.04), factor);
+      capture.keyframe.scale_stddev = 0.003;  // as it says of itself
+      fix = add(registrar, capture, capture.heading, PositionPrior{capture.p_G_B.head<2>(), 2});
+      if (i == 0 || !fix.valid) continue;
+      EXPECT_NEAR(std::log(fix.scale * factor), 0, 3 * fix.scale_stddev) << factor << ", keyframe " << i;
+    }
+    ASSERT_TRUE(fix.valid) << fix.reason;
+    EXPECT_NEAR(fix.scale * factor, 1, 0.01) << factor;
+    EXPECT_LT(fix.scale_stddev, 0.025) << factor;
+    const double height_stddev = std::sqrt(fix.covariance(2, 2));
+    EXPECT_LT(std::abs(fix.p_G_B.z() - capture.p_G_B.z()), 2.5 * height_stddev) << factor;
+    EXPECT_LT(height_stddev, 2) << factor;  // an echo would be 6 m and more off
+  }
+}
+
+TEST_F(SubmapTest, APointTriangulatedFarBelowTheGroundChangesNothing) {
+  SubmapRegistrar registrar({}, test_camera()), other({}, test_camera());
+  registrar.set_map(features(), kMap);
+  other.set_map(features(), kMap);
+  const Capture capture = ground_.capture({95, -80, 60}, 1.0, 0.03, -0.04);
+  Capture far = capture;
+  far.keyframe.points.push_back(far.keyframe.points.front());
+  far.keyframe.points.back().p_W += 200 * (far.keyframe.points.back().p_W - far.keyframe.p_W_B);
+  const PositionPrior prior{{97, -77}, 2};
+  EXPECT_EQ(add(registrar, far, far.heading, prior).p_G_B, add(other, capture, capture.heading, prior).p_G_B);
+}
+
+TEST(ScaleBelief, FollowsAMeasurementThatContradictsTheOdometryByFar) {
+  const ScaleBelief belief = with_odometry({0.12, 0.01}, 0.003);
+  EXPECT_NEAR(belief.log_scale, 0.12, 0.003);
+  EXPECT_NEAR(belief.stddev, 0.01, 0.001);
+}
+
+TEST(ScaleBelief, IsBetweenTheTwoWhereTheyAgreeAndAsWideAsTheyAreApartWhereItIsOpen) {
+  const ScaleBelief close = with_odometry({0.01, 0.01}, 0.01);
+  EXPECT_GT(close.log_scale, 0.003);
+  EXPECT_LT(close.log_scale, 0.008);
+  EXPECT_LT(close.stddev, 0.01);
+  const ScaleBelief open = with_odometry({0.05, 0.018}, 0.003);
+  EXPECT_GT(open.log_scale, 0.005);
+  EXPECT_LT(open.log_scale, 0.045);
+  EXPECT_GT(open.stddev, 0.015);
+}
+
 TEST_F(SubmapTest, ACompassesBiasIsLeftBehindFixByFix) {
   SubmapRegistrar registrar({}, test_camera());
   registrar.set_map(features(), kMap);
