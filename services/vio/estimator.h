@@ -204,8 +204,6 @@ class Estimator {
   void find_outliers();
   void measure_noise(double share);
   ImuVariances imu_noise_of(const NormalEquations& equations, size_t index) const;
-  // Squared standard deviations, per dimension, by which the window departs from what it knew before.
-  double prior_error() const;
   std::string find_failure();
   bool scale_was_wrong() const;
 

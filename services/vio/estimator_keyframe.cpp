@@ -77,7 +77,7 @@ void Estimator::publish_keyframe() {
 
   const NormalEquations equations = normal_equations();
   // What contradicts what was known says that it was not known so well: for as long as the window remembers.
-  widening_ = std::max(1.0, widening_ + (prior_error() - widening_) / options_.window);
+  widening_ = std::max(1.0, widening_ + (prior_.departure() - widening_) / options_.window);
   update_covariance(equations, keyframe);
   // Of the oldest motion everything is known that ever will be. What contradicts the camera is no noise.
   if (static_cast<int>(frames_.size()) > options_.window && error_time_ == 0)

@@ -132,11 +132,6 @@ ImuVariances Estimator::imu_noise_of(const NormalEquations& equations, size_t in
   return ImuNoiseMeter::heard(residual, unknown, j.variances);
 }
 
-double Estimator::prior_error() const {
-  const Eigen::VectorXd left = prior_.residual();
-  return left.squaredNorm() / static_cast<double>(std::max<Eigen::Index>(1, left.size()));
-}
-
 std::string Estimator::find_failure() {
   const Frame& newest = *frames_.back();
   const Frame& last = *frames_[frames_.size() - 2];
@@ -163,11 +158,11 @@ std::string Estimator::find_failure() {
 
   // Innovations: what the window's solution leaves of the newest IMU interval, of the newest image, and of what
   // was known before: a motion that does not fit is first made to fit by biases that run. In sound flights the last
-  // stays below 1.3, the first below 1 (11 where the sensor's noise is far above its data sheet's), the typical feature
+  // stays below 0.9, the first below 1 (11 where the sensor's noise is far above its data sheet's), the typical feature
   // fits to a third of a pixel (0.84 at most in 99 of 100, 1.2 while gusts shake a camera at 285 m), and three in a
   // hundred are refused.
   constexpr double kImuError = 25;       // squared standard deviations per dimension
-  constexpr double kPriorError = 4;      // likewise, of all that was known: each of it twice as far off as it said
+  constexpr double kPriorError = 3;      // likewise, of all that was known: in twenty dimensions by chance once in 10^5
   constexpr double kRefused = 0.5;       // of the landmarks in view
   constexpr double kTypicalError = 0.4;  // of outlier_error, beside some that are refused
   constexpr double kSomeRefused = 0.05;  // of the landmarks in view
@@ -180,7 +175,7 @@ std::string Estimator::find_failure() {
     if (landmark.tracked && landmark.has_depth) errors.push_back(landmark.reprojection_error);
   }
   const double typical = errors.size() >= 5 ? median(errors) : 0.0;
-  const double contradiction = prior_error();
+  const double contradiction = prior_.departure();
   const bool imu_wrong = imu_error > kImuError || contradiction > kPriorError;
   const bool image_wrong = typical > kLargeError * options_.outlier_error ||
                            (typical > kTypicalError * options_.outlier_error && refused_ > kSomeRefused * in_view_) ||

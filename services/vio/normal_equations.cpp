@@ -259,6 +259,7 @@ Prior NormalEquations::marginalise(const Frame& frame) const {
   const Eigen::VectorXd root = eigen.eigenvalues()(kept).cwiseSqrt();
   prior.J = root.asDiagonal() * V.transpose() * scale_r.cwiseInverse().asDiagonal();
   prior.r0 = -(root.cwiseInverse().asDiagonal() * V.transpose() * b_reduced);
+  prior.made = prior.r0;
   return prior;
 }
 

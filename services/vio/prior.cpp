@@ -116,6 +116,11 @@ Eigen::VectorXd Prior::residual() const {
   return r0 + J * difference;
 }
 
+// Not the residual itself: along what is hardly known that is rounding.
+double Prior::departure() const {
+  return empty() ? 0 : (residual() - made).squaredNorm() / static_cast<double>(made.size());
+}
+
 Prior make_initial_prior(Frame& frame, const InitialUncertainty& sigma, const Eigen::Vector3d& accel_bias,
                          const Eigen::Vector3d& gyro_bias) {
   Prior prior;
@@ -130,6 +135,7 @@ Prior make_initial_prior(Frame& frame, const InitialUncertainty& sigma, const Ei
   prior.J.block<3, 3>(7, 12).diagonal().setConstant(1.0 / sigma.gyro_bias);
   prior.r0.segment<3>(4) = (frame.state.ba() - accel_bias) / sigma.accel_bias;
   prior.r0.segment<3>(7) = (frame.state.bg() - gyro_bias) / sigma.gyro_bias;
+  prior.made = prior.r0;
   return prior;
 }
 
@@ -142,6 +148,7 @@ void add_shared_prior(Prior& prior, Shared& shared, const SharedUncertainty& sig
     prior.J.conservativeResizeLike(Eigen::MatrixXd::Zero(rows + n, columns + n));
     prior.J.bottomRightCorner(n, n).diagonal() = sigmas.cwiseInverse();
     prior.r0.conservativeResizeLike(Eigen::VectorXd::Zero(rows + n));
+    prior.made.conservativeResizeLike(Eigen::VectorXd::Zero(rows + n));
   };
   if (shared.camera_free && !prior.holds(Kind::kCamera)) {
     Eigen::VectorXd sigmas(6);

@@ -42,10 +42,13 @@ struct Prior {
   std::vector<Block> blocks;
   Eigen::MatrixXd J;  // columns in the order of the blocks, in tangent space
   Eigen::VectorXd r0;
+  Eigen::VectorXd made;  // the residual where it was made
 
   bool empty() const { return blocks.empty(); }
   // Residual at the blocks' current values.
   Eigen::VectorXd residual() const;
+  // Squared standard deviations, per dimension, by which the blocks have moved from where it was made.
+  double departure() const;
   bool holds(const Frame& frame) const;
   bool holds(Block::Kind kind) const;
   // Linearises at the current values. What is known of the window's turn and scale stays what it was.
