@@ -162,7 +162,7 @@ std::string Estimator::find_failure() {
   // fits to a third of a pixel (0.84 at most in 99 of 100, 1.2 while gusts shake a camera at 285 m), and three in a
   // hundred are refused.
   constexpr double kImuError = 25;       // squared standard deviations per dimension
-  constexpr double kPriorError = 3;      // likewise, of all that was known: in twenty dimensions by chance once in 10^5
+  constexpr double kPriorError = 3;      // standard deviations of the chi-square of all that was known
   constexpr double kRefused = 0.5;       // of the landmarks in view
   constexpr double kTypicalError = 0.4;  // of outlier_error, beside some that are refused
   constexpr double kSomeRefused = 0.05;  // of the landmarks in view
@@ -175,8 +175,9 @@ std::string Estimator::find_failure() {
     if (landmark.tracked && landmark.has_depth) errors.push_back(landmark.reprojection_error);
   }
   const double typical = errors.size() >= 5 ? median(errors) : 0.0;
-  const double contradiction = prior_.departure();
-  const bool imu_wrong = imu_error > kImuError || contradiction > kPriorError;
+  const double departure = prior_.departure();
+  const auto known = static_cast<double>(std::max<Eigen::Index>(1, prior_.made.size()));
+  const bool imu_wrong = imu_error > kImuError || departure > 1 + kPriorError * std::sqrt(2 / known);
   const bool image_wrong = typical > kLargeError * options_.outlier_error ||
                            (typical > kTypicalError * options_.outlier_error && refused_ > kSomeRefused * in_view_) ||
                            (in_view_ >= options_.min_landmarks && refused_ > kRefused * in_view_);
@@ -187,7 +188,7 @@ std::string Estimator::find_failure() {
   }
   if (error_time_ > options_.max_error_time) {
     return imu_wrong ? fmt::format("camera and IMU contradict each other ({:.0f} standard deviations)",
-                                   std::sqrt(std::max(imu_error, contradiction)))
+                                   std::sqrt(std::max(imu_error, departure * known)))
                      : fmt::format("the features do not fit the motion: off by {:.1f} px, {} of {} refused", typical,
                                    refused_, in_view_);
   }
