@@ -21,11 +21,11 @@ struct Pair {
 
 inline constexpr double kUnknown = std::numeric_limits<double>::quiet_NaN();
 
-// How a fix depends on the vertical, as in map_fix_t: what it is under the odometry's, and what the matches alone say of
-// that. NaN: unknown. In G; tilts are rotation vectors about east and north, rad.
+// How a fix depends on the vertical, as in map_fix_t: what it is under the odometry's, and what the matches alone say
+// of that. NaN: unknown. In G; tilts are rotation vectors about east and north, rad.
 struct Upright {
-  Eigen::Vector3d p_G_B = Eigen::Vector3d::Constant(kUnknown);       // m
-  Eigen::Matrix3d covariance = Eigen::Matrix3d::Constant(kUnknown);  // m^2
+  Eigen::Vector3d p_G_B = Eigen::Vector3d::Constant(kUnknown);                          // m
+  Eigen::Matrix3d covariance = Eigen::Matrix3d::Constant(kUnknown);                     // m^2
   Eigen::Matrix<double, 3, 2> lever = Eigen::Matrix<double, 3, 2>::Constant(kUnknown);  // m/rad
   Eigen::Vector2d tilt = Eigen::Vector2d::Constant(kUnknown);
   Eigen::Matrix2d tilt_covariance = Eigen::Matrix2d::Constant(kUnknown);  // rad^2
