@@ -245,29 +245,6 @@ void align_points(const std::vector<const View*>& views, const MapIndex& index, 
 
 }  // namespace
 
-ScaleBelief with_odometry(const ScaleBelief& measured, double odometry_stddev) {
-  // Sums over the scales that the measurement leaves, fine enough for the narrower of the two.
-  constexpr double kReach = 6;  // standard deviations
-  constexpr int kMostSteps = 2000;
-  const double from = std::min(-kReach * odometry_stddev, measured.log_scale - kReach * measured.stddev);
-  const double to = std::max(kReach * odometry_stddev, measured.log_scale + kReach * measured.stddev);
-  const double wanted = (to - from) / (0.25 * std::min(odometry_stddev, measured.stddev));
-  const int steps = static_cast<int>(std::clamp(wanted, 1.0, static_cast<double>(kMostSteps)));
-  double sum = 0, first = 0, second = 0;
-  for (int i = 0; i <= steps; ++i) {
-    const double log_scale = from + (to - from) * i / steps;
-    const double off = (log_scale - measured.log_scale) / measured.stddev;
-    // As wide as a Gaussian of that deviation where both are highest.
-    const double said = log_scale / odometry_stddev;
-    const double density = std::exp(-0.5 * off * off) / (1 + 0.5 * said * said);
-    sum += density;
-    first += density * log_scale;
-    second += density * log_scale * log_scale;
-  }
-  const double mean = first / sum;
-  return {mean, std::sqrt(std::max(1e-12, second / sum - mean * mean))};
-}
-
 PlaceFit fit_place(const std::vector<const View*>& views, const MapIndex& index, double metres_per_pixel,
                    const Eigen::Vector2d& place, const Alignment& alignment, const Alignment& prior,
                    const FitOptions& options) {

@@ -27,10 +27,10 @@ struct FitOptions {
   // m over the height: by how much all that a keyframe sees is stretched together on the map. Patches show what stands
   // on the ground leaning outward, the map does not.
   double lean = 2.0;
-  double tilt_stddev = 0.0052;   // rad per axis, of the odometry's vertical
-  double matches_per_tilt = 16;  // so many matches count as one where their perspective tells the tilt
-  double tilt_followed = 0.4;    // of a true tilt, what matches show that were aligned where the odometry's put them
-  double map_stddev = 0.35;      // m, each of east and north: georeferencing error of the map (0.5 in the plane)
+  double tilt_stddev = 0.3 * M_PI / 180;  // rad per axis, of the odometry's vertical
+  double matches_per_tilt = 16;           // so many matches count as one where their perspective tells the tilt
+  double tilt_followed = 0.4;  // of a true tilt, what matches show that were aligned where the odometry's put them
+  double map_stddev = 0.35;    // m, each of east and north: georeferencing error of the map (0.5 in the plane)
   double ground_height_stddev = 0.7;    // m, of the map's heights, averaged along the way
   double matches_per_observation = 30;  // so many matches of a keyframe count as one, and so do those of the same point
   // What all matches err by together in turn, rad: a patch described under another fits best where that puts it.
@@ -76,12 +76,6 @@ struct FittedPose {
   double yaw = 0, yaw_stddev = 0;  // rad, of W in G
   Upright upright;
 };
-
-// What a measurement of the scale and the odometry, which says that its own is right to `odometry_stddev`, say
-// together: mean and deviation of the product of a Gaussian and, for whoever states a deviation may be wrong in that, a
-// Cauchy distribution. Where the two contradict each other it is as wide as they are apart, until the measurement
-// outweighs.
-ScaleBelief with_odometry(const ScaleBelief& measured, double odometry_stddev);
 
 // What the views before the newest say of the height over the map's ground, all their points put where the fit has
 // them: who finds its place over a wood may have flown over its edge before. `views`: newest first.

@@ -14,15 +14,13 @@ namespace {
 constexpr double kRadian = M_PI / 180;
 // Largest radius, m, that is searched at full resolution at once.
 constexpr double kFineRadius = 32;
-// How well a fix knows heading and scale for the next one, and how fast the odometry's scale may change.
+// How well a fix knows the heading for the next one.
 constexpr double kFittedTurnStddev = 0.7 * kRadian;
-constexpr double kFittedScaleStddev = 0.01;
 // What earlier fixes say of the heading, to the fit of the next one: so little that a wrong one is left behind, and
 // instead of the compass, which would pull every fit towards its bias (5.7 degrees off, it left fits 3-4 degrees off).
 // At half of this a fit went a quarter of the way back to where the compass had put the first.
 constexpr double kLearntTurnStddev = 3 * kRadian;
 constexpr double kFittedShare = 0.3;
-constexpr double kLargestScaleStddev = 0.1;  // that is searched for: twice as much is off at most
 // Fixes that teach what is believed, and what the matches of one err by together in turn (rad) and scale with them.
 constexpr int kTaught = 4;
 constexpr double kTaughtStddev = 0.003;
@@ -33,24 +31,10 @@ constexpr double kTurnStep = 9 * kRadian, kFurthestTurn = 4.5;
 // Of the newest points, the share that has to stay aligned for their fit to be believed without asking the rest of the
 // submap: with less, fits over crops in rows and woods were rows and crowns off, up to 25 m.
 constexpr double kSureShare = 0.2;
-// Of what it was, over some ten keyframes: where it falls below this the scale may have changed.
-constexpr double kFewer = 0.5, kFewerMemory = 0.1;
 // What the share of points that stay aligned with the map counts, beside the likelihood as a share of the highest,
 // where places are put in order: the points are those of the newest keyframes, which may see a wood, the likelihood is
 // the whole submap's. At 3, `rural` 5 `years` took the less likely of two places for 40 s.
 constexpr double kInlierOrder = 1.2;
-// What speaks for a place where the aircraft is not expected: that share, the log-likelihood ratio's share, the ratio
-// that counts as 1 (where little ground was seen, large shares are of little), and each piece of new ground it has held
-// over, up to so many. Against it: each keyframe of the submap, for among many points some are alike anywhere; without
-// this wrong places had 1.2 over a few keyframes and 2.2 over 16.
-constexpr double kShareEvidence = 2;
-constexpr double kInlierEvidence = 3;
-constexpr double kRatioEvidence = 3000;
-constexpr double kHeldEvidence = 0.1;
-constexpr int kMostHeld = 16;
-constexpr double kLengthEvidence = 0.0375;
-// And the least of the log-likelihood ratio's share.
-constexpr double kLeastShare = 0.2;
 // Places to which matches are aligned, to compare how many stay.
 constexpr size_t kPlacesFitted = 3;
 
@@ -80,10 +64,10 @@ SubmapOptions SubmapOptions::from_config(ConfigNode& node) {
   submap.read("min_radius", options.min_radius, 1, 1e6);
   submap.read("widening", options.widening, 1, 10);
   submap.read("second_distance", options.second_distance, 1, 1e6);
-  submap.read("min_likelihood_ratio", options.min_likelihood_ratio, 0, 1e9);
-  submap.read("min_likelihood_share", options.min_likelihood_share, 0, 1);
-  submap.read("min_evidence", options.min_evidence, 0, 10);
-  submap.read("min_inliers", options.min_inliers, 6, 10000);
+  submap.read("min_likelihood_ratio", options.acceptance.min_likelihood_ratio, 0, 1e9);
+  submap.read("min_likelihood_share", options.acceptance.min_likelihood_share, 0, 1);
+  submap.read("min_evidence", options.acceptance.min_evidence, 0, 10);
+  submap.read("min_inliers", options.acceptance.min_inliers, 6, 10000);
   submap.read("scale_stddev", options.fit.scale_stddev, 1e-4, 1);
   submap.read("lean", options.fit.lean, 0, 100);
   double tilt_stddev_deg = options.fit.tilt_stddev / kRadian;
@@ -98,29 +82,8 @@ SubmapOptions SubmapOptions::from_config(ConfigNode& node) {
   return options;
 }
 
-double evidence(const Standing& place) {
-  return kShareEvidence * place.log_likelihood_ratio / place.log_likelihood + kInlierEvidence * place.aligned_share +
-         place.log_likelihood_ratio / kRatioEvidence + kHeldEvidence * std::min(place.held, kMostHeld) -
-         kLengthEvidence * place.num_keyframes;
-}
-
-std::string doubt(const Standing& place, const SubmapOptions& options) {
-  const double share = place.log_likelihood_ratio / place.log_likelihood;
-  const bool clear = place.is_expected ? share >= options.min_likelihood_share
-                                       : share >= kLeastShare && evidence(place) >= options.min_evidence;
-  if (!clear || place.log_likelihood_ratio < options.min_likelihood_ratio) {
-    return fmt::format(
-        "another place is nearly as likely: log-likelihood ratio {:.0f} of {:.0f}, evidence {:.2f}, held {}",
-        place.log_likelihood_ratio, place.log_likelihood, evidence(place), place.held);
-  }
-  if (place.inliers < options.min_inliers) {
-    return fmt::format("{} inliers, {} are needed", place.inliers, options.min_inliers);
-  }
-  return "";
-}
-
 SubmapRegistrar::SubmapRegistrar(const SubmapOptions& options, const CameraModel& camera)
-    : options_(options), camera_(camera) {}
+    : options_(options), camera_(camera), scale_(options.fit.scale_stddev, options.widening, options.max_keyframes) {}
 
 void SubmapRegistrar::set_map(MapFeatures features, const MapGeometry& geometry) {
   if (!(geometry.keypoint_size > 0)) throw std::invalid_argument("method submap needs a map with features: rootsift");
@@ -159,8 +122,7 @@ bool SubmapRegistrar::describe(const Keyframe& keyframe, int session, const cv::
     keyframes_.clear();
     num_headings_ = 0;
     fitted_yaw_.reset();
-    fitted_scale_.reset();
-    way_scale_.reset();
+    scale_.forget();
     ground_ = {};
     held_ = {};
     num_fixes_ = 0;
@@ -182,6 +144,7 @@ bool SubmapRegistrar::describe(const Keyframe& keyframe, int session, const cv::
   refused_ = remembered.variants.front().view->refused;
   if (!refused_.empty()) return false;
   keyframes_.push_front(std::move(remembered));
+  scale_.hear(keyframe.scale_stddev);
   thin_out();
   return true;
 }
@@ -208,7 +171,7 @@ SubmapRegistrar::Variant SubmapRegistrar::described(const Keyframe& keyframe, co
   Variant variant;
   variant.view =
       std::make_unique<View>(make_view(keyframe, image, camera_, heading_of(keyframe.q_W_B) - yaw() - turn,
-                                       std::exp(expected_scale().log_scale), *index_, geometry_, options_.query));
+                                       std::exp(scale_.expected().log_scale), *index_, geometry_, options_.query));
   return variant;
 }
 
@@ -242,51 +205,7 @@ void SubmapRegistrar::thin_out() {
 }
 
 Alignment SubmapRegistrar::expected(const View& view, size_t variant) const {
-  return {wrap_angle(yaw() + turns()[variant] - view.yaw), std::exp(expected_scale().log_scale)};
-}
-
-double SubmapRegistrar::odometry_scale_stddev() const {
-  const double own = keyframes_.empty() ? kUnknown : keyframes_.front().keyframe().scale_stddev;
-  return std::isfinite(own) ? std::max(own, options_.fit.scale_stddev) : options_.fit.scale_stddev;
-}
-
-// Where no way says better the matches are left to say what they say: drawn to a scale they are sought, and found,
-// where that has them. That they have become few may be the scale's fault.
-ScaleBelief SubmapRegistrar::scale_before() const {
-  if (!way_scale_ || scale_may_have_changed()) return {expected_scale().log_scale, kLargestScaleStddev};
-  return with_odometry(*way_scale_, odometry_scale_stddev());
-}
-
-ScaleBelief SubmapRegistrar::scale_after(const PlaceFit& fit) const {
-  return with_odometry(way_scale_ ? both(*way_scale_, fit.scale) : fit.scale, odometry_scale_stddev());
-}
-
-void SubmapRegistrar::ask_the_way(const PlaceFit& fit, size_t variant) {
-  const Keyframe& newest = keyframes_.front().keyframe();
-  const double flown = (newest.p_W_B - way_asked_).head<2>().norm();
-  const bool known = way_scale_ && agree(*way_scale_, fit.scale);
-  if (known && flown < options_.keyframe_spacing * newest.height_above_ground) return;
-  way_asked_ = newest.p_W_B;
-  way_scale_ = scale_of_way(views(variant, options_.max_keyframes), static_cast<size_t>(options_.pose_keyframes), fit,
-                            *index_, options_.evidence);
-}
-
-bool SubmapRegistrar::scale_may_have_changed() const {
-  return aligned_of_late_ < kFewer * aligned_;
-}
-
-// Where nothing was found of late the scale is as doubtful as the place, and the odometry says as much as the last fix.
-ScaleBelief SubmapRegistrar::expected_scale() const {
-  if (!fitted_scale_) return {0, kLargestScaleStddev};
-  const double doubt = std::pow(options_.widening, std::min(without_fix_, options_.max_keyframes));
-  return with_odometry({fitted_scale_->log_scale, doubt * fitted_scale_->stddev}, odometry_scale_stddev());
-}
-
-double SubmapRegistrar::searched_scale_stddev() const {
-  // On the whole map more scales would be more chances for a wrong place.
-  if (!std::isfinite(radius_)) return fitted_scale_ ? kFittedScaleStddev : options_.fit.scale_stddev;
-  if (num_fixes_ < kTaught || scale_may_have_changed()) return kLargestScaleStddev;
-  return std::clamp(expected_scale().stddev, kFittedScaleStddev, kLargestScaleStddev);
+  return {wrap_angle(yaw() + turns()[variant] - view.yaw), std::exp(scale_.expected().log_scale)};
 }
 
 std::vector<Alignment> SubmapRegistrar::alignments_for(size_t variant, const View& view, double lever,
@@ -295,7 +214,8 @@ std::vector<Alignment> SubmapRegistrar::alignments_for(size_t variant, const Vie
                              : options_.search_heading ? 0.25 * kHeadingStep
                              : variant > 0             ? 0.25 * kTurnStep
                                                        : heading_.stddev;
-  return alignments(expected(view, variant), turn_stddev, searched_scale_stddev(), lever, step);
+  return alignments(expected(view, variant), turn_stddev,
+                    scale_.searched_stddev(std::isinf(radius_), num_fixes_ >= kTaught), lever, step);
 }
 
 void SubmapRegistrar::search(const std::optional<PositionPrior>& prior) {
@@ -344,7 +264,8 @@ bool SubmapRegistrar::is_clear() const {
   if (places_.empty()) return false;
   const Place& best = places_.front();
   const double ratio = likelihood_ratio(best, best.en);
-  return ratio >= options_.min_likelihood_ratio && ratio >= options_.min_likelihood_share * best.likelihood;
+  return ratio >= options_.acceptance.min_likelihood_ratio &&
+         ratio >= options_.acceptance.min_likelihood_share * best.likelihood;
 }
 
 void SubmapRegistrar::search_nearby(const PositionPrior& prior, size_t variant) {
@@ -404,11 +325,11 @@ void SubmapRegistrar::compare_at_full_resolution(const std::vector<PlaceCandidat
 // for 220 s.
 void SubmapRegistrar::miss() {
   constexpr int kDoubted = 8;  // keyframes
-  way_scale_.reset();
+  scale_.missed();
   ++widened_;
   if (++without_fix_ < kDoubted || num_fixes_ >= kTaught || !fitted_yaw_) return;
   fitted_yaw_.reset();
-  fitted_scale_.reset();
+  scale_.forget_fixes();
 }
 
 void SubmapRegistrar::learn_from(const FittedPose& pose, size_t variant) {
@@ -419,7 +340,7 @@ void SubmapRegistrar::learn_from(const FittedPose& pose, size_t variant) {
   if (!elsewhere) widened_ = 0;
   ++num_fixes_;
   fitted_yaw_ = fitted_yaw_ ? *fitted_yaw_ + kFittedShare * wrap_angle(pose.yaw - *fitted_yaw_) : pose.yaw;
-  fitted_scale_ = {std::log(pose.scale), pose.scale_stddev / pose.scale};
+  scale_.learn(pose);
   // The heading is known from now on: of each keyframe, what was described under another one is of no use.
   for (Remembered& keyframe : keyframes_) {
     if (keyframe.variants.size() == 1) continue;
@@ -444,8 +365,8 @@ bool SubmapRegistrar::is_nearby() const {
 
 FitOptions SubmapRegistrar::fit_options(size_t variant) const {
   FitOptions options = options_.fit;
-  options.scale_stddev = scale_before().stddev;
-  if (fitted_scale_ && num_fixes_ >= kTaught) options.common_stddev = kTaughtStddev;
+  options.scale_stddev = scale_.before_fit().stddev;
+  if (scale_.is_fitted() && num_fixes_ >= kTaught) options.common_stddev = kTaughtStddev;
   options.heading_stddev = fitted_yaw_               ? kLearntTurnStddev
                            : options_.search_heading ? M_PI
                            : variant > 0             ? 0.5 * kTurnStep
@@ -454,7 +375,7 @@ FitOptions SubmapRegistrar::fit_options(size_t variant) const {
 }
 
 Alignment SubmapRegistrar::prior_alignment(size_t variant) const {
-  const double scale = std::exp(scale_before().log_scale);
+  const double scale = std::exp(scale_.before_fit().log_scale);
   // What was found under another heading than the compass's is not for the compass to draw back.
   if (!fitted_yaw_ && (options_.search_heading || variant > 0)) return {0, scale};
   return {wrap_angle(yaw() - keyframes_.front().variants[variant].view->yaw), scale};
@@ -498,11 +419,11 @@ double SubmapRegistrar::agree_with_submap(Candidate& candidate) const {
   if (!candidate.fit.ok || aligned_share(candidate) >= kSureShare) return 0;
   // As far back as the scale lets its keyframes lie where they are taken to lie; that of all that is known of it, for
   // the newest alone are seen stretched.
-  const ScaleBelief scale = scale_after(candidate.fit);
+  const ScaleBelief scale = scale_.after_fit(candidate.fit);
   std::vector<const View*> submap = views(candidate.place.variant, options_.max_keyframes);
   const auto is_far = [&](const View* view) {
     const Eigen::Vector3d way = view->keyframe.p_W_B - submap.front()->keyframe.p_W_B;
-    return way.head<2>().norm() * std::max(kFittedScaleStddev, scale.stddev) > give;
+    return way.head<2>().norm() * std::max(KnownScale::kLeastStddev, scale.stddev) > give;
   };
   submap.erase(std::remove_if(submap.begin() + 1, submap.end(), is_far), submap.end());
   const Alignment alignment{candidate.fit.alignment.turn, std::exp(scale.log_scale)};
@@ -568,10 +489,9 @@ Fix SubmapRegistrar::solve() {
       .num_keyframes = fix.num_keyframes,
       .is_expected = is_nearby() && (fit.en - expected_).norm() <= expected_radius_,
   };
-  aligned_of_late_ = standing.aligned_share;
-  aligned_ += kFewerMemory * (aligned_of_late_ - aligned_);
+  scale_.saw(standing.aligned_share);
   fix.evidence = evidence(standing);
-  fix.reason = doubt(standing, options_);
+  fix.reason = doubt(standing, options_.acceptance);
   if (fix.reason.empty() && disagreement > 0) {
     fix.reason =
         fmt::format("the whole submap looks like a place {:.0f} m from where its newest keyframes fit", disagreement);
@@ -581,16 +501,21 @@ Fix SubmapRegistrar::solve() {
     fix.num_inliers = static_cast<int>(fit.inliers);
   }
   const View& newest = *views(best.place.variant, 1).front();
-  if (fix.reason.empty() && fit.ok) ask_the_way(fit, best.place.variant);
+  if (fix.reason.empty() && fit.ok) {
+    scale_.ask_the_way(views(best.place.variant, options_.max_keyframes), static_cast<size_t>(options_.pose_keyframes),
+                       options_.keyframe_spacing * newest.keyframe.height_above_ground, fit, *index_,
+                       options_.evidence);
+  }
+  const ScaleBelief scale = fit.ok ? scale_.after_fit(fit) : scale_.expected();
   // Fixes remember the ground; where there were none of late, the submap has to tell, of a place that is accepted.
   const bool remembered = ground_.known() && without_fix_ < options_.max_keyframes;
-  GroundLevel ground = remembered || !fix.reason.empty()
-                           ? ground_
-                           : ground_along(views(best.place.variant, options_.max_keyframes), fit, scale_after(fit),
-                                          *index_, options_.fit);
+  GroundLevel ground =
+      remembered || !fix.reason.empty()
+          ? ground_
+          : ground_along(views(best.place.variant, options_.max_keyframes), fit, scale, *index_, options_.fit);
   const FittedPose pose =
       fit.ok ? fit_pose(views(best.place.variant, options_.pose_keyframes), fit, prior_alignment(best.place.variant),
-                        scale_after(fit), fit_options(best.place.variant), ground)
+                        scale, fit_options(best.place.variant), ground)
              : FittedPose{};
   const double odometry_heading = heading_of(newest.keyframe.q_W_B);
   const double yaw = pose.ok ? pose.yaw : wrap_angle(odometry_heading - heading_.value);

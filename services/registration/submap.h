@@ -6,10 +6,8 @@
 // Over the whole map the submap is as long as it can be: of the older keyframes those are kept that see new ground.
 // There, until a fix has told the heading, and where the compass's heading leads to no clear place, the submap is
 // described and searched for under headings further off too, out to 4.5 of the compass's standard deviations.
-// A fit of translation, turn and scale and a pose with priors follow (place_fit.h).
-//
-// A place is accepted by how much likelier it is than the best other one: what one field looks like, the next one may
-// too, and then both are likely.
+// A fit of translation, turn and scale and a pose with priors follow (place_fit.h); whether the place is believed says
+// acceptance.h, what is known of the odometry's scale known_scale.h.
 //
 // Not thread-safe; deterministic.
 #pragma once
@@ -22,11 +20,12 @@
 
 #include "common/camera/camera_model.h"
 #include "common/config/config.h"
+#include "services/registration/acceptance.h"
 #include "services/registration/fix.h"
 #include "services/registration/held_place.h"
+#include "services/registration/known_scale.h"
 #include "services/registration/place_fit.h"
 #include "services/registration/place_search.h"
-#include "services/registration/scale_of_way.h"
 #include "services/registration/view.h"
 
 namespace orthonav::registration {
@@ -41,13 +40,7 @@ struct SubmapOptions {
   double min_radius = 15;         // m, and at least this
   double widening = 1.5;          // factor of the radius for each keyframe without a fix
   double second_distance = 15;    // m: places further from the best are other places
-  // Of a fix: the log-likelihood of the best place less that of the second, in itself, and, where the aircraft is
-  // expected, as a share of the former;
-  double min_likelihood_ratio = 150;
-  double min_likelihood_share = 0.35;
-  // elsewhere the evidence, which that share is a part of (doubt()).
-  double min_evidence = 1.5;
-  int min_inliers = 8;
+  AcceptanceOptions acceptance;
   int coarse_places = 12;  // of the coarse grid that are compared at full resolution
   EvidenceOptions evidence;
   FitOptions fit;
@@ -61,25 +54,6 @@ struct PositionPrior {
   Eigen::Vector2d en = Eigen::Vector2d::Zero();  // m
   double stddev = 0;                             // m, of the worse direction
 };
-
-// What the best place has to show for itself against the best other one.
-struct Standing {
-  double log_likelihood = 0;
-  double log_likelihood_ratio = 0;  // less that of the other place
-  double aligned_share = 0;         // of the points, how many stay where they are aligned to the map
-  int inliers = 0;
-  int held = 0;              // over how much new ground (HeldPlace)
-  int num_keyframes = 1;     // of the submap
-  bool is_expected = false;  // the place is where the aircraft is expected closely
-};
-
-// What speaks for such a place where the aircraft is not expected: a sum of the likelihood ratio as a share of the
-// likelihood, of the share of aligned points, the likelihood ratio and the new ground held over, less something for
-// each keyframe. docs/registration.md says how it was weighed.
-double evidence(const Standing& place);
-
-// Why such a place is not accepted; empty when it is.
-std::string doubt(const Standing& place, const SubmapOptions& options);
 
 class SubmapRegistrar {
  public:
@@ -136,16 +110,6 @@ class SubmapRegistrar {
   void thin_out();
   std::vector<const View*> views(size_t variant, int count) const;
   Alignment expected(const View& view, size_t variant) const;
-  double odometry_scale_stddev() const;  // by its own word
-  // Before a fit: by the odometry's word and by the way to the fix before. After it: by its matches and the way, too.
-  ScaleBelief scale_before() const;
-  ScaleBelief scale_after(const PlaceFit& fit) const;
-  // Asks the way over the map for the scale, where new ground was seen since or the fit contradicts what it said.
-  void ask_the_way(const PlaceFit& fit, size_t variant);
-  bool scale_may_have_changed() const;
-  // Under which a keyframe is described and looked for, and how far from it.
-  ScaleBelief expected_scale() const;
-  double searched_scale_stddev() const;
   std::vector<Alignment> alignments_for(size_t variant, const View& view, double lever, double step) const;
   // With the newest keyframes, at full resolution, within radius_.
   void search_nearby(const PositionPrior& prior, size_t variant);
@@ -193,15 +157,12 @@ class SubmapRegistrar {
   double compass_yaw_ = 0;
   int num_headings_ = 0;
   std::optional<double> fitted_yaw_;
-  std::optional<ScaleBelief> fitted_scale_;              // of the newest fix
-  std::optional<ScaleBelief> way_scale_;                 // of the way to it
-  Eigen::Vector3d way_asked_ = Eigen::Vector3d::Zero();  // m in W, where it was
-  double aligned_of_late_ = 0, aligned_ = 0;  // shares of the points, at the place found last and in the mean
-  GroundLevel ground_;                        // of the session's fixes
-  HeldPlace held_;                            // of the session's keyframes that were searched for widely
-  int without_fix_ = 0;                       // keyframes since the last fix
-  int widened_ = 0;                           // those since the last fix where the aircraft was expected
-  int num_fixes_ = 0;                         // of the session
+  KnownScale scale_;
+  GroundLevel ground_;   // of the session's fixes
+  HeldPlace held_;       // of the session's keyframes that were searched for widely
+  int without_fix_ = 0;  // keyframes since the last fix
+  int widened_ = 0;      // those since the last fix where the aircraft was expected
+  int num_fixes_ = 0;    // of the session
 
   std::string refused_;
   std::vector<Place> places_;

@@ -6,6 +6,9 @@
 
 #include <gtest/gtest.h>
 
+#include "services/registration/place_fit.h"
+#include "tests/registration/synthetic_flight.h"
+
 namespace orthonav::registration {
 namespace {
 
@@ -159,6 +162,43 @@ TEST(GroundLevel, IsTheMeanCloseToTheGroundToo) {
   GroundLevel ground;
   for (int i = 0; i < 20; ++i) ground.add(scene.lifts(120, 0, 0, 3), 3, at(0, 2 * i), kPerObservation);
   EXPECT_NEAR(ground.level(), 3, 0.3);
+}
+
+// A flight east, 100 m above ground that lies 20 m high in G: first over fields, then over a wood of 12 m.
+std::vector<View> flight_onto_a_wood(int over_fields, int over_the_wood) {
+  std::vector<View> views(static_cast<size_t>(over_fields + over_the_wood));  // newest first
+  cv::RNG random(5);
+  for (size_t k = 0; k < views.size(); ++k) {
+    Keyframe& keyframe = views[k].keyframe;
+    keyframe.p_W_B = {-20.0 * static_cast<double>(k), 0, 100};
+    keyframe.height_above_ground = 100;
+    const double top = static_cast<int>(k) < over_the_wood ? 12 : 0;
+    for (int i = 0; i < 80; ++i) {
+      Eigen::Vector3d p_W = keyframe.p_W_B;
+      p_W += Eigen::Vector3d(random.uniform(-30.0, 30.0), random.uniform(-30.0, 30.0), 0);
+      p_W.z() = top + random.gaussian(0.5);
+      views[k].points.emplace_back().p_W = p_W;
+    }
+  }
+  return views;
+}
+
+TEST(GroundAlong, AWoodUnderTheFirstFixIsToldFromTheFieldsBeforeIt) {
+  const SyntheticFields fields{1};
+  MapFeatures map = described_map(fields);
+  for (Eigen::Vector3f& position : map.positions) position.z() = 20;
+  const MapIndex index(std::move(map), kFieldsMap);
+  PlaceFit fit;
+  fit.en = index.place(index.rows() / 2, index.columns() * 3 / 4);
+  const auto level = [&](int over_fields, int over_the_wood) {
+    const std::vector<View> views = flight_onto_a_wood(over_fields, over_the_wood);
+    std::vector<const View*> pointers;
+    for (const View& view : views) pointers.push_back(&view);
+    return ground_along(pointers, fit, {}, index, {}).level();
+  };
+  EXPECT_NEAR(level(5, 1), 120, 0.5);
+  EXPECT_NEAR(level(3, 4), 120, 1.0);
+  EXPECT_NEAR(level(0, 6), 108, 1.0);  // nothing but the wood was seen
 }
 
 }  // namespace

@@ -6,6 +6,7 @@
 #include <opencv2/imgproc.hpp>
 
 #include "common/features/fixed_sift.h"
+#include "common/features/orientation_field.h"
 #include "common/math/so3.h"
 #include "services/registration/types.h"
 #include "tests/support/texture.h"
@@ -126,5 +127,18 @@ class GroundOf {
 
 using SyntheticGround = GroundOf<test::Texture>;
 using SyntheticFields = GroundOf<test::Patchwork>;
+
+inline const MapGeometry kFieldsMap{SyntheticFields::kSigma, 12, 10};
+
+// The map of `ground` as the map server describes it for method "submap".
+inline MapFeatures described_map(const SyntheticFields& ground) {
+  MapFeatures features = ground.grid_features(12);
+  std::vector<cv::Point2f> points;
+  for (const Eigen::Vector3f& p : features.positions) {
+    points.emplace_back(p.x() / 0.3F - 0.5F, -p.y() / 0.3F - 0.5F);
+  }
+  features.descriptors = OrientationField(ground.picture(), {.keypoint_size = 12}).describe(points);
+  return features;
+}
 
 }  // namespace orthonav::registration

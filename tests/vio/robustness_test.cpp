@@ -330,7 +330,7 @@ TEST(Robustness, ContradictionBetweenCameraAndImuEndsTheSessionWithinTwoSeconds)
       if (frame.t > 20) breaks[k](frame);
     });
     EXPECT_GT(flown.failed_at, 20) << k;
-    EXPECT_LE(flown.failed_at, 22.1) << k << flown.reason;
+    EXPECT_LE(flown.failed_at, 22.1) << k << ": " << flown.reason;
     EXPECT_FALSE(flown.reason.empty()) << k;
   }
 }
