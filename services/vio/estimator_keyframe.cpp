@@ -11,6 +11,11 @@ namespace {
 
 constexpr double kNoiseShare = 0.05;  // that one motion has in the noise measured
 
+// The shortest turn (a rotation vector, applied at the left) after which `q` leaves the vertical where it is.
+Eigen::Vector3d turn_upright(const Eigen::Quaterniond& q) {
+  return so3_log(Eigen::Quaterniond::FromTwoVectors(q * Eigen::Vector3d::UnitZ(), Eigen::Vector3d::UnitZ()));
+}
+
 }  // namespace
 
 void Estimator::follow_published() {
@@ -19,9 +24,8 @@ void Estimator::follow_published() {
   tilt_step_ = 0;
   if (last.keyframe_id >= 0) {
     const Eigen::Quaterniond q = last.published.q() * last.state.q().conjugate();
-    // The turn that would bring z back to z, a part of it at a time.
-    const Eigen::Vector3d tilt =
-        so3_log(Eigen::Quaterniond::FromTwoVectors(q * Eigen::Vector3d::UnitZ(), Eigen::Vector3d::UnitZ()));
+    // A part of it at a time.
+    const Eigen::Vector3d tilt = turn_upright(q);
     const double part =
         1.0 - std::exp(-1e-6 * static_cast<double>(newest.utime - last.utime) / options_.tilt_return_time);
     tilt_step_ = part * tilt.norm();
@@ -122,6 +126,11 @@ void Estimator::update_covariance(const NormalEquations& equations, Keyframe& ke
   to_world.bottomRightCorner<3, 3>() = R_P_W * R_new;
   pose_covariance_ = to_world * joint.block<6, 6>(6, 6) * to_world.transpose();
   velocity_covariance_ = R_P_W * joint.block<3, 3>(12, 12) * R_P_W.transpose();
+  // What is told has yet to follow the window's vertical by so much.
+  const Eigen::Vector3d behind = turn_upright(q_P_W_);
+  pose_covariance_.bottomRightCorner<3, 3>() += behind * behind.transpose();
+  const Eigen::Vector3d astray = behind.cross(newest_.v());
+  velocity_covariance_ += astray * astray.transpose();
   bias_covariance_ = joint.bottomRightCorner<6, 6>();
   if (previous.keyframe_id == keyframe.id - 1 && previous.keyframe_id >= 0) {
     Eigen::Matrix<double, 6, 12> J = Eigen::Matrix<double, 6, 12>::Zero();

@@ -57,6 +57,7 @@ int NormalEquations::offset(const Prior::Block& block) const {
 }
 
 void NormalEquations::add_imu(const Frame& i, const Frame& j, double gravity) {
+  factor_.reset();
   ImuFactor::Vector15 r;
   ImuFactor::Jacobians jacobians;
   ImuFactor::evaluate(*j.imu, i.state, j.state, gravity, &r, &jacobians);
@@ -76,6 +77,7 @@ void NormalEquations::add_imu(const Frame& i, const Frame& j, double gravity) {
 }
 
 void NormalEquations::add_landmark(const Landmark& landmark, double weight, double robust_width) {
+  factor_.reset();
   using Kind = Prior::Block::Kind;
   const Observation& anchor = landmark.anchor();
   const Frame& frame_i = *anchor.frame;
@@ -163,6 +165,7 @@ void NormalEquations::add_landmark(const Landmark& landmark, double weight, doub
 }
 
 void NormalEquations::add_prior(const Prior& prior) {
+  factor_.reset();
   if (prior.empty()) return;
   const Eigen::MatrixXd JtJ = prior.J.transpose() * prior.J;
   const Eigen::VectorXd Jtr = prior.J.transpose() * prior.residual();
@@ -180,6 +183,7 @@ void NormalEquations::add_prior(const Prior& prior) {
 }
 
 void NormalEquations::add_cost(const ceres::CostFunction& cost, const std::vector<Prior::Block>& blocks) {
+  factor_.reset();
   using RowMajor = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>;
   const int rows = cost.num_residuals();
   Eigen::VectorXd r(rows);
@@ -271,10 +275,17 @@ Eigen::MatrixXd NormalEquations::pose_covariance(const std::vector<int>& offsets
   return covariance(rows);
 }
 
+const NormalEquations::Factor& NormalEquations::factor() const {
+  if (!factor_) {
+    factor_.emplace();
+    factor_->scale = H_.diagonal().cwiseMax(1e-12).cwiseSqrt().cwiseInverse();
+    factor_->llt.compute(factor_->scale.asDiagonal() * H_ * factor_->scale.asDiagonal());
+  }
+  return *factor_;
+}
+
 Eigen::MatrixXd NormalEquations::covariance(const std::vector<int>& rows) const {
-  const Eigen::VectorXd scale = H_.diagonal().cwiseMax(1e-12).cwiseSqrt().cwiseInverse();
-  const Eigen::MatrixXd scaled = scale.asDiagonal() * H_ * scale.asDiagonal();
-  const Eigen::LLT<Eigen::MatrixXd> llt(scaled);
+  const auto& [scale, llt] = factor();
   if (llt.info() != Eigen::Success) return {};
   Eigen::MatrixXd rhs = Eigen::MatrixXd::Zero(H_.rows(), static_cast<Eigen::Index>(rows.size()));
   for (size_t k = 0; k < rows.size(); ++k) rhs(rows[k], static_cast<Eigen::Index>(k)) = scale[rows[k]];

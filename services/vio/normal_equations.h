@@ -3,8 +3,10 @@
 // thread-safe.
 #pragma once
 
+#include <optional>
 #include <vector>
 
+#include <Eigen/Cholesky>
 #include <Eigen/Core>
 #include <ceres/cost_function.h>
 
@@ -44,6 +46,11 @@ class NormalEquations {
   int offset(const Prior::Block& block) const;
 
  private:
+  struct Factor {
+    Eigen::VectorXd scale;  // to unit diagonals
+    Eigen::LLT<Eigen::MatrixXd> llt;
+  };
+  const Factor& factor() const;
   size_t index_of(const Frame& frame) const;
 
   std::vector<Frame*> frames_;
@@ -51,6 +58,7 @@ class NormalEquations {
   Extrinsics extrinsics_;
   Eigen::MatrixXd H_;
   Eigen::VectorXd b_;
+  mutable std::optional<Factor> factor_;  // of H_ as it is: covariances of several parts are asked for
 };
 
 // Huber's weight of a residual with squared norm `s`: 1 up to `width` standard deviations, then width / |r|.
