@@ -21,7 +21,7 @@ struct Pair {
 
 inline constexpr double kUnknown = std::numeric_limits<double>::quiet_NaN();
 
-// How a fix depends on the vertical, as in map_fix_t: what it is under the odometry's, and what the matches alone say
+// How a fix depends on the vertical, as in map_fix_t: what it is under the odometry's, and what the ground alone says
 // of that. NaN: unknown. In G; tilts are rotation vectors about east and north, rad.
 struct Upright {
   Eigen::Vector3d p_G_B = Eigen::Vector3d::Constant(kUnknown);                          // m

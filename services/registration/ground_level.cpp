@@ -33,6 +33,11 @@ constexpr double kWrongRange = 150;  // m
 
 constexpr double kFurthest = 6;  // standard deviations beyond which the ground's own density is nothing
 
+// What a lift errs by, m: the odometry's depths and the map's heights.
+double stddev_at(double height) {
+  return std::hypot(0.7, 0.01 * height);
+}
+
 // Of levels kStep apart, the first at `lowest`: multiplies `densities` by those of one lift.
 void multiply(double lift, double lowest, double stddev, std::array<double, 2 * kReach + 1>& densities) {
   const auto first_above = [&](double above_ground) {
@@ -75,16 +80,20 @@ void blur(double stddev, std::vector<double>& log_likelihoods) {
 
 void GroundLevel::add(const std::vector<double>& lifts, double height, const Eigen::Vector3d& p_W_B,
                       double lifts_per_observation, const ScaleBelief& scale) {
+  const Eigen::Vector3d moved =
+      known() ? Eigen::Vector3d(std::exp(scale.log_scale) * (p_W_B - p_W_B_)) : Eigen::Vector3d::Zero();
+  const double middle = median(lifts);
+  origin_ += moved.z();
+  // What is seen now lies at none of the levels compared: what is remembered is of no use to it.
+  if (std::abs(middle - origin_) > kStep * kReach) *this = {};
   double step = 0;
-  if (log_likelihoods_.empty()) {
-    origin_ = median(lifts);
+  if (!known()) {
+    origin_ = middle;
     scale_ = scale;
     log_likelihoods_.assign(2 * kReach + 1, 0.0);
   } else {
-    const Eigen::Vector3d moved = std::exp(scale.log_scale) * (p_W_B - p_W_B_);
     step = moved.head<2>().norm();
     const double seen = std::min(step, kSeenAtOnce * height);
-    origin_ += moved.z();
     level_ += moved.z();
     way_ += seen;
     averaged_ *= std::exp(-step / kAveraged);
@@ -105,8 +114,7 @@ void GroundLevel::add(const std::vector<double>& lifts, double height, const Eig
     scale_.stddev += share * (scale.stddev - scale_.stddev);
   }
   p_W_B_ = p_W_B;
-  // Of the odometry's depths and the map's heights.
-  const double stddev = std::hypot(0.7, 0.01 * height);
+  const double stddev = stddev_at(height);
   std::vector<double> seen(log_likelihoods_.size(), 0.0);
   // Products of the densities, for a logarithm takes as long as many of them; 64 of at least 6e-5 are not too small.
   constexpr size_t kProduct = 64;
@@ -137,6 +145,18 @@ void GroundLevel::add(const std::vector<double>& lifts, double height, const Eig
   const double counts = std::max(kLeastStep, std::min(step, kSeenAtOnce * height)) / (1 + by_scale * by_scale);
   averaged_ = std::clamp(averaged_ + counts, counts, std::max(counts, std::min(kAveraged, kShareAveraged * way_)));
   level_ += (here - level_) * counts / averaged_;
+}
+
+GroundLevel::Above GroundLevel::above(double rise, double height) {
+  // Gaussian errors; on the ground, or evenly up to as high as trees are.
+  const double stddev = stddev_at(height);
+  const double z = rise / stddev;
+  const double density = std::exp(-0.5 * z * z) / std::sqrt(2 * M_PI);
+  const double positive = 0.5 * std::erfc(-z / std::sqrt(2.0));
+  const double ground = kOnGround * density / stddev;
+  const double something = kAbove / kTallest * positive;
+  const double all = ground + something + kWrong / kWrongRange;
+  return {kAbove / kTallest * std::max(0.0, rise * positive + stddev * density) / all, ground / all, something / all};
 }
 
 double GroundLevel::hidden_stddev() const {

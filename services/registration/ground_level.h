@@ -33,6 +33,13 @@ class GroundLevel {
   // The body's height in G, m. Wants add() first.
   double level() const { return level_; }
 
+  // How far above the ground a point lies, m, that lies `rise` m above the level by odometry whose body is `height` m
+  // above it: what of it is more than the depth's error. Probabilities that it is on the ground, and on something.
+  struct Above {
+    double expected = 0, on_the_ground = 0, on_something = 0;
+  };
+  static Above above(double rise, double height);
+
   // How far below the level the ground may still lie, m, 1 sigma: where little way was flown, all that was seen may be
   // one wood.
   double hidden_stddev() const;

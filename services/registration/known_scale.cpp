@@ -13,6 +13,8 @@ constexpr double kLargestStddev = 0.1;  // that is searched for: twice as much i
 // Of what it was, over some ten keyframes: where the share of aligned points falls below this the scale may have
 // changed.
 constexpr double kFewer = 0.5, kFewerMemory = 0.1;
+// No odometry is off by more: a belief that reaches further is cut there.
+const double kLargestLog = std::log(2);
 
 }  // namespace
 
@@ -20,14 +22,15 @@ ScaleBelief with_odometry(const ScaleBelief& measured, double odometry_stddev) {
   // Sums over the scales that the measurement leaves, fine enough for the narrower of the two.
   constexpr double kReach = 6;  // standard deviations
   constexpr int kMostSteps = 2000;
-  const double from = std::min(-kReach * odometry_stddev, measured.log_scale - kReach * measured.stddev);
-  const double to = std::max(kReach * odometry_stddev, measured.log_scale + kReach * measured.stddev);
+  const double centre = std::clamp(measured.log_scale, -kLargestLog, kLargestLog);
+  const double from = std::max(-kLargestLog, std::min(-kReach * odometry_stddev, centre - kReach * measured.stddev));
+  const double to = std::min(kLargestLog, std::max(kReach * odometry_stddev, centre + kReach * measured.stddev));
   const double wanted = (to - from) / (0.25 * std::min(odometry_stddev, measured.stddev));
   const int steps = static_cast<int>(std::clamp(wanted, 1.0, static_cast<double>(kMostSteps)));
   double sum = 0, first = 0, second = 0;
   for (int i = 0; i <= steps; ++i) {
     const double log_scale = from + (to - from) * i / steps;
-    const double off = (log_scale - measured.log_scale) / measured.stddev;
+    const double off = (log_scale - centre) / measured.stddev;
     // As wide as a Gaussian of that deviation where both are highest.
     const double said = log_scale / odometry_stddev;
     const double density = std::exp(-0.5 * off * off) / (1 + 0.5 * said * said);
@@ -49,6 +52,7 @@ KnownScale::KnownScale(double least_stddev, double widening, int most_misses)
 
 void KnownScale::forget() {
   way_.reset();
+  way_asked_.reset();
   odometry_stddev_ = std::numeric_limits<double>::quiet_NaN();
   forget_fixes();
 }
@@ -70,23 +74,24 @@ void KnownScale::saw(double aligned_share) {
 
 void KnownScale::missed() {
   way_.reset();
+  way_asked_.reset();
   ++misses_;
   expect();
 }
 
-void KnownScale::learn(const FittedPose& pose) {
+void KnownScale::learn(const PlaceFit& fit) {
   misses_ = 0;
-  fitted_ = {std::log(pose.scale), pose.scale_stddev / pose.scale};
+  fitted_ = measured(fit);
   expect();
 }
 
 void KnownScale::ask_the_way(const std::vector<const View*>& views, size_t fitted, double spacing, const PlaceFit& fit,
-                             const MapIndex& index, const EvidenceOptions& options) {
-  const Eigen::Vector3d& p_W_B = views.front()->keyframe.p_W_B;
-  const bool known = way_ && agree(*way_, fit.scale);
-  if (known && (p_W_B - way_asked_).head<2>().norm() < spacing) return;
+                             const MapIndex& index, const EvidenceOptions& evidence, const FitOptions& options) {
+  const Eigen::Vector2d p_W_B = views.front()->keyframe.p_W_B.head<2>();
+  const bool contradicted = way_ && !agree(*way_, fit.scale);
+  if (way_asked_ && !contradicted && (p_W_B - *way_asked_).norm() < spacing) return;
   way_asked_ = p_W_B;
-  way_ = scale_of_way(views, fitted, fit, index, options);
+  way_ = scale_of_way(views, fitted, fit, index, evidence, options);
 }
 
 double KnownScale::searched_stddev(bool everywhere, bool taught) const {
@@ -104,7 +109,7 @@ ScaleBelief KnownScale::before_fit() const {
 }
 
 ScaleBelief KnownScale::after_fit(const PlaceFit& fit) const {
-  return with_odometry(way_ ? both(*way_, fit.scale) : fit.scale, odometry_stddev());
+  return with_odometry(measured(fit), odometry_stddev());
 }
 
 bool KnownScale::may_have_changed() const {

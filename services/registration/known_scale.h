@@ -38,11 +38,11 @@ class KnownScale {
   // Of the points, how many stayed aligned at the place found.
   void saw(double aligned_share);
   void missed();
-  void learn(const FittedPose& pose);
-  // Asks the way over the map to the fit, where `spacing` (m in W) was flown since or the fit contradicts what it said.
-  // `views`: newest first, of which the first `fitted` are those of the fit.
+  void learn(const PlaceFit& fit);
+  // Asks the way over the map to the fit, where `spacing` (m in W) was flown since it was asked last or the fit
+  // contradicts what it said. `views`: newest first, of which the first `fitted` are those of the fit.
   void ask_the_way(const std::vector<const View*>& views, size_t fitted, double spacing, const PlaceFit& fit,
-                   const MapIndex& index, const EvidenceOptions& options);
+                   const MapIndex& index, const EvidenceOptions& evidence, const FitOptions& options);
 
   bool is_fitted() const { return fitted_.has_value(); }
   // Under which a keyframe is described and looked for.
@@ -57,16 +57,18 @@ class KnownScale {
   static constexpr double kLeastStddev = 0.01;
 
  private:
+  // Of the map alone.
+  ScaleBelief measured(const PlaceFit& fit) const { return way_ ? both(*way_, fit.scale) : fit.scale; }
   bool may_have_changed() const;
   double odometry_stddev() const;
   void expect();
 
   double least_stddev_, widening_;
   int most_misses_;
-  double odometry_stddev_;                               // as heard; NaN: unknown
-  std::optional<ScaleBelief> fitted_;                    // of the newest fix
-  std::optional<ScaleBelief> way_;                       // of the way to it
-  Eigen::Vector3d way_asked_ = Eigen::Vector3d::Zero();  // m in W, where it was
+  double odometry_stddev_;                    // as heard; NaN: unknown
+  std::optional<ScaleBelief> fitted_;         // by the newest fix, without the odometry's word
+  std::optional<ScaleBelief> way_;            // by the way to it
+  std::optional<Eigen::Vector2d> way_asked_;  // m in W, where it was, since the last keyframe without a fix
   double aligned_of_late_ = 0, aligned_ = 0;  // shares of the points, at the place found last and in the mean
   int misses_ = 0;                            // since the last fix
   ScaleBelief expected_;                      // of the others: it is asked for every view of a search

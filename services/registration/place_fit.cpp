@@ -22,6 +22,7 @@ constexpr double kConverged = 1e-3;  // m: steps that move no point by more are 
 // Matches are sought anew where the fit has come to, until it moves no point by more, m, or so many times.
 constexpr double kSettled = 1;
 constexpr int kMostRounds = 4;
+// So much as to be free: what the matches say of the scale is in its prior.
 constexpr double kAnyStretch = 0.3;
 
 // Geman-McClure: falls to 0 for residuals well beyond `width`.
@@ -95,19 +96,9 @@ void weigh(const std::vector<const View*>& views, double width, PlaceFit& fit) {
   }
 }
 
-// How far from the newest body points lie, horizontally, m: their root mean square.
-double furthest(const std::vector<const View*>& views) {
-  double sum = 0, count = 0;
-  for (const ViewPoint& point : views.front()->points) {
-    sum += offset_of(views, point).squaredNorm();
-    ++count;
-  }
-  return std::sqrt(sum / std::max(1.0, count));
-}
-
 // Robust least squares of place, turn and log scale, the residuals' width shrinking from `first` to `last` m.
 void solve(const std::vector<const View*>& views, double first, double last, const FitOptions& options,
-           const Alignment& prior, PlaceFit& fit) {
+           const FitPrior& prior, PlaceFit& fit) {
   constexpr int kIterations = 12;
   std::vector<Eigen::Vector2d> offsets;
   offsets.reserve(fit.points.size());
@@ -145,13 +136,13 @@ void solve(const std::vector<const View*>& views, double first, double last, con
     const double trust = 1 / (variance * options.matches_per_observation * static_cast<double>(views.size()));
     information *= trust;
     gradient *= trust;
-    const double turn_information = 1 / (options.heading_stddev * options.heading_stddev);
-    const double stretched = std::log(fit.alignment.scale / prior.scale);
+    const double turn_information = 1 / (prior.heading_stddev * prior.heading_stddev);
+    const double stretched = std::log(fit.alignment.scale / prior.alignment.scale);
     // Of the odometry, which may be wrong by what the matches say, and the stretch.
-    scale_information = 1 / (options.scale_stddev * options.scale_stddev + 0.5 * stretched * stretched +
+    scale_information = 1 / (prior.scale_stddev * prior.scale_stddev + 0.5 * stretched * stretched +
                              std::pow(stretch_stddev(views, options), 2));
     information(2, 2) += turn_information;
-    gradient(2) += turn_information * (fit.alignment.turn - prior.turn);
+    gradient(2) += turn_information * (fit.alignment.turn - prior.alignment.turn);
     information(3, 3) += scale_information;
     gradient(3) += scale_information * stretched;
     information.topLeftCorner<2, 2>() += 1e-9 * Eigen::Matrix2d::Identity();
@@ -170,7 +161,7 @@ void solve(const std::vector<const View*>& views, double first, double last, con
   // Less what was known beforehand.
   const double all = 1 / covariance(3, 3), of_matches = std::max(1e-6, all - scale_information);
   const double log_scale = std::log(fit.alignment.scale);
-  fit.scale.log_scale = log_scale + (all / of_matches - 1) * (log_scale - std::log(prior.scale));
+  fit.scale.log_scale = log_scale + (all / of_matches - 1) * (log_scale - std::log(prior.alignment.scale));
   fit.scale.stddev = std::hypot(1 / std::sqrt(of_matches), stretch_stddev(views, options));
   fit.ok = covariance.allFinite() && fit.inliers > 0;
 }
@@ -246,7 +237,7 @@ void align_points(const std::vector<const View*>& views, const MapIndex& index, 
 }  // namespace
 
 PlaceFit fit_place(const std::vector<const View*>& views, const MapIndex& index, double metres_per_pixel,
-                   const Eigen::Vector2d& place, const Alignment& alignment, const Alignment& prior,
+                   const Eigen::Vector2d& place, const Alignment& alignment, const FitPrior& prior,
                    const FitOptions& options) {
   PlaceFit fit;
   fit.en = place;
@@ -256,7 +247,7 @@ PlaceFit fit_place(const std::vector<const View*>& views, const MapIndex& index,
   if (!fit.ok) return fit;
   fit.points = associate(views, index, fit, 1.5, options.min_excess);
   solve(views, index.pitch(), 0.7 * index.pitch(), options, prior, fit);
-  const double lever = furthest(views);
+  const double lever = spread_of({views.front()});
   for (int round = 0; fit.ok && round < kMostRounds; ++round) {
     const Eigen::Vector2d en = fit.en;
     const Alignment before = fit.alignment;
@@ -276,37 +267,46 @@ PlaceFit fit_place(const std::vector<const View*>& views, const MapIndex& index,
 
 namespace {
 
-using Matrix8d = Eigen::Matrix<double, 8, 8>;
+// What the odometry's vertical is off by, and how well that is known.
+struct TiltBelief {
+  Eigen::Vector2d tilt = Eigen::Vector2d::Zero();        // rad, about east and north
+  Eigen::Matrix2d covariance = Eigen::Matrix2d::Zero();  // rad^2
+};
 
-// What a fit of (position, turn in G, log scale, stretch) is without its prior on the turn's first two, the tilt from
-// the odometry's vertical. It ended at `p_G_B` and `tilt` (rad, about east and north). `information` holds that prior,
-// `tilt_information` times the identity, and `of_matches`, which the matches' errors make too small by `errors` and,
-// where they tell the tilt, too large by 1 / `tilt_errors`; they show `followed` of a true tilt.
-Upright upright_of(const Eigen::Vector3d& p_G_B, const Eigen::Vector2d& tilt, const Matrix8d& information,
-                   const Matrix8d& of_matches, double tilt_information, double errors, double tilt_errors,
-                   double followed) {
-  const std::array<int, 6> rest{0, 1, 2, 5, 6, 7};
-  const std::array<int, 2> tilts{3, 4};
-  using Matrix6d = Eigen::Matrix<double, 6, 6>;
-  const Matrix6d inverse = Matrix6d(information(rest, rest)).inverse();
-  const Eigen::Matrix<double, 6, 2> coupling = information(rest, tilts);
-  const Eigen::Matrix<double, 6, 2> follows = inverse * coupling;  // the rest moves by -this with the tilt
-  const Eigen::Matrix2d with_prior = Eigen::Matrix2d(information(tilts, tilts)) - coupling.transpose() * follows;
-  // A thousandth of the prior stays: matches that say nothing of the tilt leave it finite.
-  const Eigen::Matrix2d of_tilt = with_prior - 0.999 * tilt_information * Eigen::Matrix2d::Identity();
-  Upright upright;
-  upright.lever = follows.topRows<3>();
-  upright.p_G_B = p_G_B + upright.lever * tilt;
-  const Matrix6d noise = information(rest, rest) - (1 - errors) * of_matches(rest, rest);
-  upright.covariance = (inverse * noise * inverse).topLeftCorner<3, 3>();
-  upright.tilt = of_tilt.inverse() * (with_prior * tilt) / followed;
-  upright.tilt_covariance = tilt_errors * of_tilt.inverse() / (followed * followed);
-  return upright;
+// By how the ground lies: the odometry's points on it slope against the map's by what its vertical is off by.
+// `offsets_G` are theirs from the body under the odometry's vertical, m, and `rises` how far above the level of the
+// ground they lie under it. An elevation model's error goes on as far as its points lie about; that of a point's depth
+// is its own.
+TiltBelief tilt_of_ground(const std::vector<Eigen::Vector3d>& offsets_G, const std::vector<double>& rises,
+                          double height, double matches_per_point, double ground_height_stddev) {
+  constexpr int kIterations = 5;
+  // Of the level, and of the tilt: (tilt x offset) in height.
+  const auto row = [&](size_t i) { return Eigen::Vector3d(1, offsets_G[i].y(), -offsets_G[i].x()); };
+  Eigen::Vector3d plane = Eigen::Vector3d::Zero();
+  Eigen::Matrix3d moments;
+  double variance = 0, weights = 0;
+  for (int iteration = 0; iteration < kIterations; ++iteration) {
+    moments = 1e-9 * Eigen::Matrix3d::Identity();
+    Eigen::Vector3d sums = Eigen::Vector3d::Zero();
+    variance = weights = 0;
+    for (size_t i = 0; i < rises.size(); ++i) {
+      const double rise = rises[i] + row(i).dot(plane);
+      const double weight = GroundLevel::above(rise, height).on_the_ground;
+      moments += weight * row(i) * row(i).transpose();
+      sums += weight * row(i) * rises[i];
+      variance += weight * rise * rise;
+      weights += weight;
+    }
+    plane = moments.ldlt().solve(-sums);
+  }
+  variance /= std::max(1e-9, weights);
+  const double counted = matches_per_point * variance + weights * ground_height_stddev * ground_height_stddev;
+  return {plane.tail<2>(), (counted * moments.inverse()).bottomRightCorner<2, 2>()};
 }
 
 }  // namespace
 
-FittedPose fit_pose(const std::vector<const View*>& views, const PlaceFit& fit, const Alignment& prior,
+FittedPose fit_pose(const std::vector<const View*>& views, const PlaceFit& fit, const FitPrior& prior,
                     const ScaleBelief& scale_before, const FitOptions& options, GroundLevel& ground) {
   FittedPose result;
   std::vector<const PlacedPoint*> inliers;
@@ -327,13 +327,17 @@ FittedPose fit_pose(const std::vector<const View*>& views, const PlaceFit& fit, 
   ground.add(lifts, keyframe.height_above_ground, keyframe.p_W_B,
              options.matches_per_observation * static_cast<double>(views.size()), scale_before);
   const double level = ground.level();
-  std::vector<double> heights;  // of the map's points, m in G
-  double mean_drop = 0;         // of the points below the body, by the odometry
-  heights.reserve(inliers.size());
+  std::vector<Eigen::Vector3d> offsets;  // in W, from the body
+  std::vector<double> rises;             // above the level
+  std::vector<GroundLevel::Above> above;
+  Eigen::Vector3d mean_offset = Eigen::Vector3d::Zero();
   for (size_t i = 0; i < inliers.size(); ++i) {
-    heights.push_back(inliers[i]->ground + std::max(0.0, level - lifts[i]));
-    mean_drop += (keyframe.p_W_B.z() - point_of(views, *inliers[i]).p_W.z()) / static_cast<double>(inliers.size());
+    offsets.push_back(point_of(views, *inliers[i]).p_W - keyframe.p_W_B);
+    rises.push_back(level - lifts[i]);
+    above.push_back(GroundLevel::above(rises[i], keyframe.height_above_ground));
+    mean_offset += offsets[i] / static_cast<double>(inliers.size());
   }
+  const double mean_drop = -mean_offset.z();  // of the points below the body, by the odometry
 
   // Of each view, the camera as the odometry has it. Views differ in the yaw assumed only as far as the compass does;
   // the newest's counts for all.
@@ -349,30 +353,28 @@ FittedPose fit_pose(const std::vector<const View*>& views, const PlaceFit& fit, 
     cameras.push_back({R_C_W, R_C_W, R_C_W * (own.p_W_B + R_W_B * own.extrinsics.p_B_C - keyframe.p_W_B)});
   }
 
-  // Unknowns: position of the newest body, a turn of all the odometry's frame (in G), log of the scale, and by how much
-  // the map shows all that is in view stretched about the newest body.
+  // Unknowns: position of the newest body, a turn of all the odometry's frame about G's z, log of the scale, and by how
+  // much the map shows all that is in view stretched about the newest body. The vertical is the odometry's.
   Eigen::Vector3d p_G_B(fit.en.x(), fit.en.y(), level);
-  Eigen::Matrix3d R_G_W = Eigen::AngleAxisd(newest.yaw + fit.alignment.turn, Eigen::Vector3d::UnitZ()).matrix();
-  const Eigen::Matrix3d R_prior = Eigen::AngleAxisd(newest.yaw + prior.turn, Eigen::Vector3d::UnitZ()).matrix();
+  double turn = newest.yaw + fit.alignment.turn;
   double log_scale = scale_before.log_scale;
-  using Row = Eigen::Matrix<double, 8, 1>;
   double stretch = std::log(fit.alignment.scale) - log_scale;
-  Matrix8d information, of_matches;
-  // What matches err by together shifts or turns them all; it tilts nothing. Where they tell the tilt they count more,
-  // or else its prior as much less.
-  const double tilt_errors =
-      options.matches_per_tilt / (options.matches_per_observation * static_cast<double>(views.size()));
-  const double tilt_information = tilt_errors / (options.tilt_stddev * options.tilt_stddev);
+  using Row = Eigen::Matrix<double, 6, 1>;
+  using Matrix6d = Eigen::Matrix<double, 6, 6>;
+  Matrix6d information, of_matches;
+  Eigen::Matrix<double, 6, 2> with_tilt;  // of the information: what another vertical would do
   const double width = std::max(0.5, 2 * fit.rms);
   for (int iteration = 0; iteration < 6; ++iteration) {
     information.setZero();
+    with_tilt.setZero();
     Row gradient = Row::Zero();
     double weights = 0, sum = 0;
     const double scale = std::exp(log_scale);
+    const Eigen::Matrix3d R_G_W = Eigen::AngleAxisd(turn, Eigen::Vector3d::UnitZ()).matrix();
     for (Camera& camera : cameras) camera.R_C_G = camera.R_C_W * R_G_W.transpose();
     for (size_t i = 0; i < inliers.size(); ++i) {
       const Camera& camera = cameras[static_cast<size_t>(inliers[i]->view)];
-      const Eigen::Vector3d point_G(inliers[i]->en.x(), inliers[i]->en.y(), heights[i]);
+      const Eigen::Vector3d point_G(inliers[i]->en.x(), inliers[i]->en.y(), inliers[i]->ground + above[i].expected);
       Eigen::Vector3d from_body_G = point_G - p_G_B;
       const Eigen::Vector3d outward(from_body_G.x(), from_body_G.y(), 0);
       from_body_G -= stretch * outward;
@@ -382,11 +384,18 @@ FittedPose fit_pose(const std::vector<const View*>& views, const PlaceFit& fit, 
       const Eigen::Vector2d residual = p_C.head<2>() - p_C.z() * point_of(views, *inliers[i]).ray;
       Eigen::Matrix<double, 2, 3> projection;
       projection << Eigen::Matrix2d::Identity(), -point_of(views, *inliers[i]).ray;
-      Eigen::Matrix<double, 3, 8> point;
-      point << -camera.R_C_G, camera.R_C_G * skew(from_body_G), -scale * camera.arm_C, -camera.R_C_G * outward;
-      const Eigen::Matrix<double, 2, 8> jacobian = projection * point;
+      const Eigen::Matrix3d turning = camera.R_C_G * skew(from_body_G);
+      Eigen::Matrix<double, 3, 6> point;
+      point << -camera.R_C_G, turning.col(2), -scale * camera.arm_C, -camera.R_C_G * outward;
+      const Eigen::Matrix<double, 2, 6> jacobian = projection * point;
+      // What is on something lies where the odometry has it.
+      const Eigen::Vector2d offset_G = scaled * (R_G_W * offsets[i]).head<2>();
+      const Eigen::Matrix<double, 3, 2> tilting =
+          turning.leftCols<2>() +
+          above[i].on_something * camera.R_C_G.col(2) * Eigen::RowVector2d(offset_G.y(), -offset_G.x());
       const double weight = robust_weight(residual.squaredNorm(), width);
       information += weight * jacobian.transpose() * jacobian;
+      with_tilt += weight * jacobian.transpose() * projection * tilting;
       gradient += weight * jacobian.transpose() * residual;
       weights += weight;
       sum += weight * residual.squaredNorm();
@@ -394,59 +403,61 @@ FittedPose fit_pose(const std::vector<const View*>& views, const PlaceFit& fit, 
     const double variance = std::max(kMinResidual * kMinResidual, 0.5 * sum / std::max(1.0, weights));
     const double trust = 1 / (variance * options.matches_per_observation * static_cast<double>(views.size()));
     information *= trust;
+    with_tilt *= trust;
     gradient *= trust;
     of_matches = information;
     const auto add_prior = [&](const Row& row, double residual, double stddev) {
       information += row * row.transpose() / (stddev * stddev);
       gradient += row * residual / (stddev * stddev);
     };
-    const Eigen::Vector3d turned = so3_log(Eigen::Quaterniond(R_G_W * R_prior.transpose()));
-    add_prior(Row::Unit(3), turned.x(), 1 / std::sqrt(tilt_information));
-    add_prior(Row::Unit(4), turned.y(), 1 / std::sqrt(tilt_information));
-    add_prior(Row::Unit(5), turned.z(), options.heading_stddev);
-    // What the matches say of the scale is in it already.
-    add_prior(Row::Unit(6), log_scale - scale_before.log_scale, scale_before.stddev);
-    add_prior(Row::Unit(7), stretch, kAnyStretch);
+    add_prior(Row::Unit(3), wrap_angle(turn - newest.yaw - prior.alignment.turn), prior.heading_stddev);
+    add_prior(Row::Unit(4), log_scale - scale_before.log_scale, scale_before.stddev);
+    add_prior(Row::Unit(5), stretch, kAnyStretch);
     // The body is above the ground by what the odometry says, scaled.
     Row height = Row::Unit(2);
-    height(6) = -scale * mean_drop;
+    height(4) = -scale * mean_drop;
     const double expected_height = level + (scale - scaled) * mean_drop;
     add_prior(height, p_G_B.z() - expected_height, options.ground_height_stddev);
     const Row step = information.ldlt().solve(-gradient);
     if (!step.allFinite()) return result;
     p_G_B += step.head<3>();
-    R_G_W = so3_exp(step.segment<3>(3)).toRotationMatrix() * R_G_W;
-    log_scale += step(6);
-    stretch += step(7);
-    if (step.head<3>().norm() + step.tail<5>().norm() * mean_drop < kConverged) break;
+    turn += step(3);
+    log_scale += step(4);
+    stretch += step(5);
+    if (step.head<3>().norm() + step.tail<3>().norm() * mean_drop < kConverged) break;
   }
-  const Matrix8d inverse = information.inverse();
+  const Matrix6d inverse = information.inverse();
   // The fit weighs matches as if those of other keyframes erred by the same, and is better for it (medians of `rural`
   // 1.05 m, 1.10 m with twice the weight); they do not, and what it says of itself is put right by that.
   const double errors = 1 / static_cast<double>(views.size());
-  const Matrix8d covariance = inverse * (information - (1 - errors) * of_matches) * inverse;
+  const Matrix6d covariance = inverse * (information - (1 - errors) * of_matches) * inverse;
   if (!covariance.allFinite()) return result;
-  const Eigen::Vector3d turned = so3_log(Eigen::Quaterniond(R_G_W * R_prior.transpose()));
   Upright& upright = result.upright;
-  upright = upright_of(p_G_B, turned.head<2>(), information, of_matches, tilt_information, errors, tilt_errors,
-                       options.tilt_followed);
+  upright.p_G_B = p_G_B;
+  upright.covariance = covariance.topLeftCorner<3, 3>();
   upright.covariance(2, 2) += std::pow(ground.hidden_stddev(), 2);
-  // The matches' word on the vertical, weighed against the odometry's.
-  const Eigen::Matrix2d of_tilt = upright.tilt_covariance.inverse();
+  upright.lever = (inverse * with_tilt).topRows<3>();
+  const Eigen::Matrix3d R_G_W = Eigen::AngleAxisd(turn, Eigen::Vector3d::UnitZ()).matrix();
+  for (size_t i = 0; i < inliers.size(); ++i) offsets[i] = scaled * (R_G_W * offsets[i]);
+  const TiltBelief of_ground = tilt_of_ground(offsets, rises, keyframe.height_above_ground,
+                                              static_cast<double>(views.size()), options.ground_height_stddev);
+  upright.tilt = of_ground.tilt;
+  upright.tilt_covariance = of_ground.covariance;
+  // The ground's word on the vertical, weighed against the odometry's.
+  const Eigen::Matrix2d information_of_ground = of_ground.covariance.inverse();
   const Eigen::Matrix2d tilt_covariance =
-      (of_tilt + Eigen::Matrix2d::Identity() / (options.tilt_stddev * options.tilt_stddev)).inverse();
-  const Eigen::Vector2d tilt = tilt_covariance * (of_tilt * upright.tilt);
-  Eigen::Vector3d correction = Eigen::Vector3d::Zero();
-  correction.head<2>() = tilt - turned.head<2>();
+      (information_of_ground + Eigen::Matrix2d::Identity() / (options.tilt_stddev * options.tilt_stddev)).inverse();
+  const Eigen::Vector2d tilt = tilt_covariance * (information_of_ground * of_ground.tilt);
   result.p_G_B = upright.p_G_B - upright.lever * tilt;
-  result.q_G_B = Eigen::Quaterniond(so3_exp(correction).toRotationMatrix() * R_G_W * keyframe.q_W_B.toRotationMatrix())
+  result.q_G_B = Eigen::Quaterniond(so3_exp(Eigen::Vector3d(tilt.x(), tilt.y(), 0)).toRotationMatrix() * R_G_W *
+                                    keyframe.q_W_B.toRotationMatrix())
                      .normalized();
   result.covariance = upright.covariance + upright.lever * tilt_covariance * upright.lever.transpose();
   result.covariance.topLeftCorner<2, 2>() += options.map_stddev * options.map_stddev * Eigen::Matrix2d::Identity();
   result.scale = std::exp(log_scale);
-  result.scale_stddev = result.scale * std::sqrt(covariance(6, 6));
-  result.yaw = wrap_angle(newest.yaw + prior.turn + turned.z());
-  result.yaw_stddev = std::hypot(std::sqrt(covariance(5, 5)), options.common_stddev);
+  result.scale_stddev = result.scale * std::sqrt(covariance(4, 4));
+  result.yaw = wrap_angle(turn);
+  result.yaw_stddev = std::hypot(std::sqrt(covariance(3, 3)), prior.common_stddev);
   result.ok = true;
   return result;
 }
@@ -454,7 +465,9 @@ FittedPose fit_pose(const std::vector<const View*>& views, const PlaceFit& fit, 
 GroundLevel ground_along(const std::vector<const View*>& views, const PlaceFit& fit, const ScaleBelief& scale,
                          const MapIndex& index, const FitOptions& options) {
   GroundLevel ground;
-  const Eigen::Matrix2d from_W = fit.alignment.from_W(views.front()->yaw);
+  // At its true scale: `fit` has that which the newest are seen under.
+  const Alignment alignment{fit.alignment.turn, std::exp(scale.log_scale)};
+  const Eigen::Matrix2d from_W = alignment.from_W(views.front()->yaw);
   for (size_t k = views.size() - 1; k > 0; --k) {
     const View& view = *views[k];
     std::vector<double> lifts;
@@ -463,8 +476,7 @@ GroundLevel ground_along(const std::vector<const View*>& views, const PlaceFit& 
       const int feature =
           index.feature(static_cast<int>(std::lround(cell.y())), static_cast<int>(std::lround(cell.x())));
       if (feature < 0) continue;
-      lifts.push_back(index.position(feature).z() -
-                      std::exp(scale.log_scale) * (point.p_W.z() - view.keyframe.p_W_B.z()));
+      lifts.push_back(index.position(feature).z() - alignment.scale * (point.p_W.z() - view.keyframe.p_W_B.z()));
     }
     if (!lifts.empty()) {
       ground.add(lifts, view.keyframe.height_above_ground, view.keyframe.p_W_B, options.matches_per_observation, scale);

@@ -22,20 +22,23 @@
 namespace orthonav::registration {
 
 struct FitOptions {
-  double heading_stddev = 0.05;  // rad, of the compass
-  double scale_stddev = 0.025;   // of the odometry, as it says of itself
   // m over the height: by how much all that a keyframe sees is stretched together on the map. Patches show what stands
   // on the ground leaning outward, the map does not.
   double lean = 2.0;
   double tilt_stddev = 0.3 * M_PI / 180;  // rad per axis, of the odometry's vertical
-  double matches_per_tilt = 16;           // so many matches count as one where their perspective tells the tilt
-  double tilt_followed = 0.4;  // of a true tilt, what matches show that were aligned where the odometry's put them
-  double map_stddev = 0.35;    // m, each of east and north: georeferencing error of the map (0.5 in the plane)
+  double map_stddev = 0.35;             // m, each of east and north: georeferencing error of the map (0.5 in the plane)
   double ground_height_stddev = 0.7;    // m, of the map's heights, averaged along the way
   double matches_per_observation = 30;  // so many matches of a keyframe count as one, and so do those of the same point
+  double min_excess = 2.0;              // standard deviations of similarity a match has at least
+};
+
+// What is known of the alignment before points are compared with the map.
+struct FitPrior {
+  Alignment alignment;           // against what the newest view was described with
+  double heading_stddev = 0.05;  // rad
+  double scale_stddev = 0.025;   // relative
   // What all matches err by together in turn, rad: a patch described under another fits best where that puts it.
   double common_stddev = 0.01;
-  double min_excess = 2.0;  // standard deviations of similarity a match has at least
 };
 
 // A point and the place on the map it was matched with.
@@ -61,10 +64,9 @@ struct PlaceFit {
   double rms = 0;      // m, of the inliers
 };
 
-// `views` with the newest first, whose yaw alignments refer to. `place` and `alignment` are where to begin, `prior` is
-// what compass and odometry say, with the standard deviations of the options.
+// `views` with the newest first, whose yaw alignments refer to. `place` and `alignment` are where to begin.
 PlaceFit fit_place(const std::vector<const View*>& views, const MapIndex& index, double metres_per_pixel,
-                   const Eigen::Vector2d& place, const Alignment& alignment, const Alignment& prior,
+                   const Eigen::Vector2d& place, const Alignment& alignment, const FitPrior& prior,
                    const FitOptions& options);
 
 struct FittedPose {
@@ -84,7 +86,7 @@ GroundLevel ground_along(const std::vector<const View*>& views, const PlaceFit& 
 
 // `scale` is all that is known of it, the fit's matches included, and `ground` what the keyframes before said of the
 // height. Throws nothing; ok is false when the equations cannot be solved.
-FittedPose fit_pose(const std::vector<const View*>& views, const PlaceFit& fit, const Alignment& prior,
+FittedPose fit_pose(const std::vector<const View*>& views, const PlaceFit& fit, const FitPrior& prior,
                     const ScaleBelief& scale, const FitOptions& options, GroundLevel& ground);
 
 }  // namespace orthonav::registration

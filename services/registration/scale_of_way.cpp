@@ -8,9 +8,8 @@
 namespace orthonav::registration {
 namespace {
 
-// What the place of one keyframe errs by, each of east and north: the map's warp, m, and the odometry's vertical, rad,
-// times the height; and of the way to it, what the odometry's changes of scale and heading make of it.
-constexpr double kWarpStddev = 0.5, kVerticalStddev = 0.007, kWayStddev = 0.01;
+// What the odometry's changes of scale and heading make of the way to a keyframe, relative.
+constexpr double kWayStddev = 0.01;
 // Neighbours err together: so many count as one.
 constexpr double kTogether = 3;
 // Standard deviations within which a keyframe has to be found, for a scale that changed bends the way slowly, and how
@@ -22,10 +21,12 @@ constexpr double kNews = 1.25;  // of the information that there was before
 }  // namespace
 
 std::optional<ScaleBelief> scale_of_way(const std::vector<const View*>& views, size_t fitted, const PlaceFit& fit,
-                                        const MapIndex& index, const EvidenceOptions& options) {
+                                        const MapIndex& index, const EvidenceOptions& evidence,
+                                        const FitOptions& options) {
   const ScaleBelief& scale = fit.scale;
   const View& newest = *views.front();
-  const double of_place = std::hypot(kWarpStddev, kVerticalStddev * newest.keyframe.height_above_ground);
+  // Of one keyframe, each of east and north: the map's own error and the odometry's vertical times the height.
+  const double of_place = std::hypot(options.map_stddev, options.tilt_stddev * newest.keyframe.height_above_ground);
   // Corrections of place, turn and log scale, and their covariance.
   Eigen::Vector4d state(0, 0, 0, scale.log_scale - std::log(fit.alignment.scale));
   Eigen::Matrix4d covariance =
@@ -45,7 +46,7 @@ std::optional<ScaleBelief> scale_of_way(const std::vector<const View*>& views, s
                               fit.alignment.scale * std::exp(state(3))};
     const Eigen::Vector2d expected = fit.en + way + jacobian * state;
     const double radius = kGate * std::sqrt(spread.diagonal().maxCoeff());
-    const std::optional<Eigen::Vector2d> place = peak_near({&view}, index, alignment, expected, radius, options);
+    const std::optional<Eigen::Vector2d> place = peak_near({&view}, index, alignment, expected, radius, evidence);
     const Eigen::Vector2d off = place ? Eigen::Vector2d(*place - expected) : Eigen::Vector2d::Zero();
     const Eigen::LDLT<Eigen::Matrix2d> solver(spread);
     if (!place || off.dot(solver.solve(off)) > kGate * kGate) {

@@ -21,6 +21,7 @@ namespace orthonav::registration {
 // `views`: newest first, of which the first `fitted` are those of `fit`. What its matches say of the scale is where to
 // begin, and no part of the result. Nothing where the way says nothing that they do not.
 std::optional<ScaleBelief> scale_of_way(const std::vector<const View*>& views, size_t fitted, const PlaceFit& fit,
-                                        const MapIndex& index, const EvidenceOptions& options);
+                                        const MapIndex& index, const EvidenceOptions& evidence,
+                                        const FitOptions& options);
 
 }  // namespace orthonav::registration

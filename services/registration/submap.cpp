@@ -21,7 +21,7 @@ constexpr double kFittedTurnStddev = 0.7 * kRadian;
 // At half of this a fit went a quarter of the way back to where the compass had put the first.
 constexpr double kLearntTurnStddev = 3 * kRadian;
 constexpr double kFittedShare = 0.3;
-// Fixes that teach what is believed, and what the matches of one err by together in turn (rad) and scale with them.
+// Fixes that teach what is believed, and what the matches of one err by together in turn, rad, then.
 constexpr int kTaught = 4;
 constexpr double kTaughtStddev = 0.003;
 // Between the headings that a place is looked for under where nothing is known of it: a descriptor stands half of it.
@@ -38,16 +38,9 @@ constexpr double kInlierOrder = 1.2;
 // Places to which matches are aligned, to compare how many stay.
 constexpr size_t kPlacesFitted = 3;
 
-// Half again the root mean square of the points' horizontal distances from the newest body, m.
+// How far from the newest body (m) a turn counts, for alignments that are to miss nothing.
 double lever_of(const std::vector<const View*>& views) {
-  double sum = 0, count = 0;
-  for (const View* view : views) {
-    for (const ViewPoint& point : view->points) {
-      sum += (point.p_W - views.front()->keyframe.p_W_B).head<2>().squaredNorm();
-    }
-    count += static_cast<double>(view->points.size());
-  }
-  return 1.5 * std::sqrt(sum / std::max(1.0, count));
+  return 1.5 * spread_of(views);
 }
 
 }  // namespace
@@ -68,7 +61,7 @@ SubmapOptions SubmapOptions::from_config(ConfigNode& node) {
   submap.read("min_likelihood_share", options.acceptance.min_likelihood_share, 0, 1);
   submap.read("min_evidence", options.acceptance.min_evidence, 0, 10);
   submap.read("min_inliers", options.acceptance.min_inliers, 6, 10000);
-  submap.read("scale_stddev", options.fit.scale_stddev, 1e-4, 1);
+  submap.read("scale_stddev", options.scale_stddev, 1e-4, 1);
   submap.read("lean", options.fit.lean, 0, 100);
   double tilt_stddev_deg = options.fit.tilt_stddev / kRadian;
   submap.read("tilt_stddev_deg", tilt_stddev_deg, 1e-3, 10);
@@ -76,14 +69,12 @@ SubmapOptions SubmapOptions::from_config(ConfigNode& node) {
   submap.read("map_stddev", options.fit.map_stddev, 0, 100);
   submap.read("ground_height_stddev", options.fit.ground_height_stddev, 1e-3, 1000);
   submap.read("matches_per_observation", options.fit.matches_per_observation, 1, 1000);
-  submap.read("matches_per_tilt", options.fit.matches_per_tilt, 1, 1000);
-  submap.read("tilt_followed", options.fit.tilt_followed, 0.01, 1);
   submap.finish();
   return options;
 }
 
 SubmapRegistrar::SubmapRegistrar(const SubmapOptions& options, const CameraModel& camera)
-    : options_(options), camera_(camera), scale_(options.fit.scale_stddev, options.widening, options.max_keyframes) {}
+    : options_(options), camera_(camera), scale_(options.scale_stddev, options.widening, options.max_keyframes) {}
 
 void SubmapRegistrar::set_map(MapFeatures features, const MapGeometry& geometry) {
   if (!(geometry.keypoint_size > 0)) throw std::invalid_argument("method submap needs a map with features: rootsift");
@@ -295,6 +286,14 @@ void SubmapRegistrar::search_widely(const std::optional<PositionPrior>& prior, s
                                options_.evidence);
     };
     if (std::isinf(radius_)) {
+      // A picture made before the scale was known may have none for it.
+      const auto has_scale = [&](const Alignment& alignment) {
+        return std::abs(std::log(alignment.scale / candidates.front().scale)) <= 2 * KnownScale::kLeastStddev;
+      };
+      if (each.everywhere &&
+          std::none_of(each.everywhere->alignments.begin(), each.everywhere->alignments.end(), has_scale)) {
+        each.everywhere.reset();
+      }
       if (!each.everywhere) each.everywhere = likelihood({});
       all.push_back({&*each.everywhere, view.keyframe.p_W_B, view.yaw});
     } else {
@@ -332,7 +331,7 @@ void SubmapRegistrar::miss() {
   scale_.forget_fixes();
 }
 
-void SubmapRegistrar::learn_from(const FittedPose& pose, size_t variant) {
+void SubmapRegistrar::learn_from(const PlaceFit& fit, const FittedPose& pose, size_t variant) {
   without_fix_ = 0;
   // Found elsewhere, it is looked for as far off until the expectation follows: nearer to a wrong one there are but
   // wrong places.
@@ -340,7 +339,7 @@ void SubmapRegistrar::learn_from(const FittedPose& pose, size_t variant) {
   if (!elsewhere) widened_ = 0;
   ++num_fixes_;
   fitted_yaw_ = fitted_yaw_ ? *fitted_yaw_ + kFittedShare * wrap_angle(pose.yaw - *fitted_yaw_) : pose.yaw;
-  scale_.learn(pose);
+  scale_.learn(fit);
   // The heading is known from now on: of each keyframe, what was described under another one is of no use.
   for (Remembered& keyframe : keyframes_) {
     if (keyframe.variants.size() == 1) continue;
@@ -363,22 +362,29 @@ bool SubmapRegistrar::is_nearby() const {
   return radius_ <= kFineRadius;
 }
 
-FitOptions SubmapRegistrar::fit_options(size_t variant) const {
-  FitOptions options = options_.fit;
-  options.scale_stddev = scale_.before_fit().stddev;
-  if (scale_.is_fitted() && num_fixes_ >= kTaught) options.common_stddev = kTaughtStddev;
-  options.heading_stddev = fitted_yaw_               ? kLearntTurnStddev
-                           : options_.search_heading ? M_PI
-                           : variant > 0             ? 0.5 * kTurnStep
-                                                     : heading_.stddev;
-  return options;
+FitPrior SubmapRegistrar::fit_prior(size_t variant) const {
+  const ScaleBelief scale = scale_.before_fit();
+  FitPrior prior;
+  prior.alignment.scale = std::exp(scale.log_scale);
+  prior.scale_stddev = scale.stddev;
+  // What was found under another heading than the compass's is not for the compass to draw back.
+  const bool of_the_compass = !options_.search_heading && variant == 0;
+  if (fitted_yaw_ || of_the_compass) {
+    prior.alignment.turn = wrap_angle(yaw() - keyframes_.front().variants[variant].view->yaw);
+  }
+  prior.heading_stddev = fitted_yaw_               ? kLearntTurnStddev
+                         : options_.search_heading ? M_PI
+                         : of_the_compass          ? heading_.stddev
+                                                   : 0.5 * kTurnStep;
+  if (scale_.is_fitted() && num_fixes_ >= kTaught) prior.common_stddev = kTaughtStddev;
+  return prior;
 }
 
-Alignment SubmapRegistrar::prior_alignment(size_t variant) const {
-  const double scale = std::exp(scale_.before_fit().log_scale);
-  // What was found under another heading than the compass's is not for the compass to draw back.
-  if (!fitted_yaw_ && (options_.search_heading || variant > 0)) return {0, scale};
-  return {wrap_angle(yaw() - keyframes_.front().variants[variant].view->yaw), scale};
+PlaceFit SubmapRegistrar::fit_at(const Eigen::Vector2d& en, const Alignment& alignment, size_t variant) const {
+  PlaceFit fit = fit_place(views(variant, options_.pose_keyframes), *index_, geometry_.metres_per_pixel, en, alignment,
+                           fit_prior(variant), options_.fit);
+  if (!fit.ok) fit.inliers = 0;
+  return fit;
 }
 
 std::vector<SubmapRegistrar::Candidate> SubmapRegistrar::fit_best_places() const {
@@ -393,10 +399,7 @@ std::vector<SubmapRegistrar::Candidate> SubmapRegistrar::fit_best_places() const
     const auto known = [&](const Candidate& other) { return is_near(other.place.en, place.en); };
     if (std::any_of(candidates.begin(), candidates.end(), known)) continue;
     ++fitted;
-    Candidate candidate{
-        place, fit_place(views(place.variant, options_.pose_keyframes), *index_, geometry_.metres_per_pixel, place.en,
-                         place.alignment, prior_alignment(place.variant), fit_options(place.variant))};
-    if (!candidate.fit.ok) candidate.fit.inliers = 0;
+    Candidate candidate{place, fit_at(place.en, place.alignment, place.variant)};
     // The fit of the flank of a better place ends there.
     const auto same = [&](const Candidate& other) { return is_near(other.fit.en, candidate.fit.en); };
     if (std::none_of(candidates.begin(), candidates.end(), same)) candidates.push_back(std::move(candidate));
@@ -431,9 +434,7 @@ double SubmapRegistrar::agree_with_submap(Candidate& candidate) const {
       likeliest_place(submap, *index_, alignment, candidate.fit.en, options_.second_distance, options_.evidence);
   const double off = (place - candidate.fit.en).norm();
   if (off <= give) return 0;
-  const PlaceFit again = fit_place(views(candidate.place.variant, options_.pose_keyframes), *index_,
-                                   geometry_.metres_per_pixel, place, candidate.fit.alignment,
-                                   prior_alignment(candidate.place.variant), fit_options(candidate.place.variant));
+  const PlaceFit again = fit_at(place, candidate.fit.alignment, candidate.place.variant);
   if (!again.ok || (again.en - place).norm() > give) return off;
   candidate.fit = again;
   return 0;
@@ -448,9 +449,7 @@ void SubmapRegistrar::fit_again(Candidate& candidate) {
     Remembered& remembered = keyframes_[k];
     remembered.variants[variant] = described(remembered.keyframe(), remembered.image, wrap_angle(fitted - yaw()));
   }
-  fit = fit_place(views(variant, options_.pose_keyframes), *index_, geometry_.metres_per_pixel, fit.en,
-                  {0, fit.alignment.scale}, prior_alignment(variant), fit_options(variant));
-  if (!fit.ok) fit.inliers = 0;
+  fit = fit_at(fit.en, {0, fit.alignment.scale}, variant);
 }
 
 double SubmapRegistrar::aligned_share(const Candidate& place) const {
@@ -503,8 +502,8 @@ Fix SubmapRegistrar::solve() {
   const View& newest = *views(best.place.variant, 1).front();
   if (fix.reason.empty() && fit.ok) {
     scale_.ask_the_way(views(best.place.variant, options_.max_keyframes), static_cast<size_t>(options_.pose_keyframes),
-                       options_.keyframe_spacing * newest.keyframe.height_above_ground, fit, *index_,
-                       options_.evidence);
+                       options_.keyframe_spacing * newest.keyframe.height_above_ground, fit, *index_, options_.evidence,
+                       options_.fit);
   }
   const ScaleBelief scale = fit.ok ? scale_.after_fit(fit) : scale_.expected();
   // Fixes remember the ground; where there were none of late, the submap has to tell, of a place that is accepted.
@@ -513,10 +512,9 @@ Fix SubmapRegistrar::solve() {
       remembered || !fix.reason.empty()
           ? ground_
           : ground_along(views(best.place.variant, options_.max_keyframes), fit, scale, *index_, options_.fit);
-  const FittedPose pose =
-      fit.ok ? fit_pose(views(best.place.variant, options_.pose_keyframes), fit, prior_alignment(best.place.variant),
-                        scale, fit_options(best.place.variant), ground)
-             : FittedPose{};
+  const FittedPose pose = fit.ok ? fit_pose(views(best.place.variant, options_.pose_keyframes), fit,
+                                            fit_prior(best.place.variant), scale, options_.fit, ground)
+                                 : FittedPose{};
   const double odometry_heading = heading_of(newest.keyframe.q_W_B);
   const double yaw = pose.ok ? pose.yaw : wrap_angle(odometry_heading - heading_.value);
   const Eigen::Vector2d en = pose.ok ? pose.p_G_B.head<2>() : best.place.en;
@@ -550,7 +548,7 @@ Fix SubmapRegistrar::solve() {
     return fix;
   }
   ground_ = std::move(ground);
-  learn_from(pose, best.place.variant);
+  learn_from(fit, pose, best.place.variant);
   return fix;
 }
 

@@ -40,6 +40,7 @@ struct SubmapOptions {
   double min_radius = 15;         // m, and at least this
   double widening = 1.5;          // factor of the radius for each keyframe without a fix
   double second_distance = 15;    // m: places further from the best are other places
+  double scale_stddev = 0.025;    // of the odometry's scale, which is believed to be no better
   AcceptanceOptions acceptance;
   int coarse_places = 12;  // of the coarse grid that are compared at full resolution
   EvidenceOptions evidence;
@@ -122,9 +123,10 @@ class SubmapRegistrar {
   double likelihood_ratio(const Place& place, const Eigen::Vector2d& fitted) const;
   // Whether the best place found stands out among the others.
   bool is_clear() const;
-  FitOptions fit_options(size_t variant) const;
-  // What earlier fixes or else the compass, and the odometry, say, against what the newest view was described with.
-  Alignment prior_alignment(size_t variant) const;
+  // What earlier fixes or else the compass, and the odometry, say.
+  FitPrior fit_prior(size_t variant) const;
+  // Of the newest keyframes; without inliers where that fails.
+  PlaceFit fit_at(const Eigen::Vector2d& en, const Alignment& alignment, size_t variant) const;
   // Whether the search was for a place where the aircraft is expected closely.
   bool is_nearby() const;
   // Of the points, how many stay where they are aligned to the map.
@@ -143,7 +145,7 @@ class SubmapRegistrar {
   // Follows the best place from keyframe to keyframe; how much new ground it has held over.
   int hold(const Place& place);
   void miss();
-  void learn_from(const FittedPose& pose, size_t variant);
+  void learn_from(const PlaceFit& fit, const FittedPose& pose, size_t variant);
 
   SubmapOptions options_;
   CameraModel camera_;

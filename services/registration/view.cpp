@@ -31,8 +31,8 @@ Background background_of(const uint8_t* descriptor, double factor, const MapInde
   return background;
 }
 
-// Where there are more points than the ground that they cover has map features (`pitch` apart, m in W), leaves one to
-// each.
+// Leaves no more points than the ground that they cover has map features (`pitch` apart, m in W), but one to each that
+// has any.
 void keep_witnesses(std::vector<ViewPoint>& points, double pitch) {
   if (points.size() < 3) return;
   std::vector<cv::Point2f> ground, hull;
@@ -41,11 +41,17 @@ void keep_witnesses(std::vector<ViewPoint>& points, double pitch) {
     ground.emplace_back(static_cast<float>(cells.x()), static_cast<float>(cells.y()));
   }
   cv::convexHull(ground, hull);
-  if (cv::contourArea(hull) >= static_cast<double>(points.size())) return;
+  const auto features = static_cast<size_t>(cv::contourArea(hull));
+  if (features >= points.size()) return;
   std::set<std::pair<int, int>> taken;
-  size_t kept = 0;
+  std::vector<char> first(points.size());  // of its feature
   for (size_t i = 0; i < points.size(); ++i) {
-    if (!taken.emplace(cvFloor(ground[i].x), cvFloor(ground[i].y)).second) continue;
+    first[i] = taken.emplace(cvFloor(ground[i].x), cvFloor(ground[i].y)).second;
+  }
+  size_t more = features - std::min(features, taken.size()), kept = 0;
+  for (size_t i = 0; i < points.size(); ++i) {
+    if (!first[i] && more == 0) continue;
+    if (!first[i]) --more;
     if (kept != i) points[kept] = std::move(points[i]);
     ++kept;
   }
@@ -53,6 +59,17 @@ void keep_witnesses(std::vector<ViewPoint>& points, double pitch) {
 }
 
 }  // namespace
+
+double spread_of(const std::vector<const View*>& views) {
+  double sum = 0, count = 0;
+  for (const View* view : views) {
+    for (const ViewPoint& point : view->points) {
+      sum += (point.p_W - views.front()->keyframe.p_W_B).head<2>().squaredNorm();
+    }
+    count += static_cast<double>(view->points.size());
+  }
+  return std::sqrt(sum / std::max(1.0, count));
+}
 
 View make_view(const Keyframe& keyframe, const cv::Mat& image, const CameraModel& camera, double true_heading,
                double scale, const MapIndex& index, const MapGeometry& map, const QueryOptions& options) {

@@ -71,6 +71,9 @@ struct View {
   std::vector<ViewPoint> points;
 };
 
+// How far from the newest body points lie, horizontally, m in W: their root mean square. `views`: newest first.
+double spread_of(const std::vector<const View*>& views);
+
 // `scale` is the true size over the odometry's, as far as known. Bad input (NaN, height <= 0, wrong image size, too few
 // points) gives a refusal, never an exception.
 View make_view(const Keyframe& keyframe, const cv::Mat& image, const CameraModel& camera, double true_heading,

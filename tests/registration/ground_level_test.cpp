@@ -157,6 +157,21 @@ TEST(GroundLevel, IsRememberedOverAWoodWhereTheScaleOnlyTrembles) {
   EXPECT_NEAR(ground.level(), kHeight, 1.0);
 }
 
+// 285 m up, a start whose scale is a fifth too long or short is further off than the levels compared reach.
+TEST(GroundLevel, BeginsAnewWhereWhatIsSeenLiesBeyondAllThatIsRemembered) {
+  constexpr double kHigh = 285;
+  for (const double off : {-0.2, 0.2}) {
+    Scene scene;
+    GroundLevel ground;
+    for (int i = 0; i < 20; ++i) {
+      ground.add(scene.lifts(120, 0, 0, kHigh * (1 + off)), kHigh, at(0, 5 * i), kPerObservation,
+                 {std::log(1 + off), 0.01});
+    }
+    ground.add(scene.lifts(120, 0, 0, kHigh), kHigh, at(0, 5 * 20), kPerObservation, {0, 0.01});
+    EXPECT_NEAR(ground.level(), kHigh, 1.0) << off;
+  }
+}
+
 TEST(GroundLevel, IsTheMeanCloseToTheGroundToo) {
   Scene scene;
   GroundLevel ground;

@@ -24,12 +24,26 @@ TEST(ScaleBelief, IsBetweenTheTwoWhereTheyAgreeAndAsWideAsTheyAreApartWhereItIsO
   EXPECT_GT(open.stddev, 0.015);
 }
 
-// A pose whose fit found such a scale.
-FittedPose found(double log_scale, double stddev) {
-  FittedPose pose;
-  pose.scale = std::exp(log_scale);
-  pose.scale_stddev = stddev * pose.scale;
-  return pose;
+TEST(ScaleBelief, IsTheOdometrysWhereTheMeasurementSaysNothing) {
+  for (const double stddev : {3.0, 1e3, 1e9}) {
+    const ScaleBelief belief = with_odometry({0.01, stddev}, 0.01);
+    EXPECT_NEAR(belief.log_scale, 0, 0.005) << stddev;
+    EXPECT_GT(belief.stddev, 0.009) << stddev;
+    EXPECT_LT(belief.stddev, 0.2) << stddev;
+  }
+}
+
+TEST(ScaleBelief, StaysFiniteWhereTheMeasurementIsAbsurd) {
+  const ScaleBelief belief = with_odometry({40, 0.001}, 0.003);
+  EXPECT_TRUE(std::isfinite(belief.log_scale));
+  EXPECT_GT(belief.stddev, 0);
+}
+
+// A fit whose matches say so.
+PlaceFit found(double log_scale, double stddev) {
+  PlaceFit fit;
+  fit.scale = {log_scale, stddev};
+  return fit;
 }
 
 TEST(KnownScale, IsTheOdometrysAndWideBeforeAFix) {
@@ -53,6 +67,16 @@ TEST(KnownScale, GoesBackToTheOdometrysWordTheLongerNothingIsFound) {
   }
   EXPECT_LT(before, 0.03);
   EXPECT_GT(scale.expected().stddev, 0.02) << "nobody has told for long";
+}
+
+TEST(KnownScale, TakesTheOdometrysWordIntoAccountOnce) {
+  KnownScale scale(0.025, 1.5, 16);
+  scale.hear(0.025);
+  const PlaceFit fit = found(0.03, 0.02);
+  const ScaleBelief after = scale.after_fit(fit);
+  scale.learn(fit);
+  EXPECT_NEAR(scale.expected().log_scale, after.log_scale, 1e-12);
+  EXPECT_NEAR(scale.expected().stddev, after.stddev, 1e-12);
 }
 
 TEST(KnownScale, IsLookedForAnewWhereFewerPointsStayAligned) {

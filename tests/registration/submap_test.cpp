@@ -107,6 +107,40 @@ TEST_F(SubmapTest, FollowsAnOdometryThatIsFarTooLongOrShort) {
   }
 }
 
+// The same capture of an odometry whose vertical is turned by `angle` (rad about W's axes).
+Capture leaning(Capture capture, const Eigen::Vector3d& angle) {
+  const Eigen::Matrix3d R = so3_exp(angle).toRotationMatrix();
+  Keyframe& keyframe = capture.keyframe;
+  keyframe.q_W_B = Eigen::Quaterniond(R) * keyframe.q_W_B;
+  for (TrackedPoint& point : keyframe.points) point.p_W = keyframe.p_W_B + R * (point.p_W - keyframe.p_W_B);
+  return capture;
+}
+
+TEST_F(SubmapTest, AFixSaysWhereItWouldBeUnderAnotherVertical) {
+  const double lean = 0.02;
+  for (const Eigen::Vector3d& angle :
+       {Eigen::Vector3d(lean, 0, 0), Eigen::Vector3d(-lean, 0, 0), Eigen::Vector3d(0, lean, 0)}) {
+    SubmapRegistrar registrar({}, test_camera());
+    registrar.set_map(described_map(ground_), kFieldsMap);
+    const Capture upright = ground_.capture({95, -80, 60}, 1.0, 0.03, -0.04);
+    const Capture capture = leaning(upright, angle);
+    const Fix fix = add(registrar, capture, capture.heading, PositionPrior{{95, -80}, 2});
+    ASSERT_TRUE(fix.valid) << fix.reason;
+    // Turns what the odometry takes for vertical back to what is.
+    const Eigen::Matrix3d R_G_W = (upright.q_G_B * upright.keyframe.q_W_B.inverse()).toRotationMatrix();
+    const Eigen::Vector2d tilt = (R_G_W * -angle).head<2>();
+    const Eigen::Vector2d leant = (fix.upright.p_G_B - capture.p_G_B).head<2>();
+    const Eigen::Vector2d put_right = (fix.upright.p_G_B - fix.upright.lever * tilt - capture.p_G_B).head<2>();
+    EXPECT_GT(leant.norm(), 0.9 * lean * 60) << angle.transpose();
+    EXPECT_LT(put_right.norm(), 0.3 * lean * 60) << angle.transpose();
+    EXPECT_LT((fix.upright.tilt - tilt).norm(), 0.2 * lean) << "the ground is level";
+    // A body 60 m above what it sees straight below it.
+    Eigen::Matrix2d lever;
+    lever << 0, -60, 60, 0;
+    EXPECT_LT((fix.upright.lever.topRows<2>() - lever).norm(), 10);
+  }
+}
+
 TEST_F(SubmapTest, APointTriangulatedFarBelowTheGroundChangesNothing) {
   SubmapRegistrar registrar({}, test_camera()), other({}, test_camera());
   registrar.set_map(described_map(ground_), kFieldsMap);
