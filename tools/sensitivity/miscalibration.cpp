@@ -10,12 +10,15 @@
 namespace orthonav::sensitivity {
 
 YAML::Node aircraft_overlay(const std::filesystem::path& folder, const Miscalibration& wrong) {
+  YAML::Node overlay(YAML::NodeType::Map);
+  if (wrong == Miscalibration()) return overlay;
   ConfigNode aircraft = load_aircraft(folder);
+  // Kalibr's files win over what is laid over aircraft.yaml: the navigator would be right after all.
+  if (aircraft.has("kalibr")) aircraft.fail("kalibr", "wins over a calibration that is wrong on purpose");
   ConfigNode camera_node = aircraft.child("camera"), extrinsics_node = aircraft.child("extrinsics");
   const CameraParameters camera = CameraModel::from_config(camera_node).parameters();
   const Extrinsics extrinsics = Extrinsics::from_config(extrinsics_node);
 
-  YAML::Node overlay(YAML::NodeType::Map);
   if (wrong.focal != 1) {
     overlay["camera"]["fx"] = wrong.focal * camera.fx;
     overlay["camera"]["fy"] = wrong.focal * camera.fy;
