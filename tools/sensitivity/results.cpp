@@ -13,6 +13,7 @@
 
 #include "common/bus/wording.h"
 #include "common/math/statistics.h"
+#include "tools/tabulate/report_figures.h"
 
 namespace orthonav::sensitivity {
 namespace {
@@ -24,11 +25,6 @@ constexpr double kNan = std::numeric_limits<double>::quiet_NaN();
 constexpr double kRightUpTo = 2.0;      // times the nominal RMSE
 constexpr double kHonestNees = 6.0;     // of 3 freedoms
 constexpr size_t kLongestHealth = 110;  // characters of the table's last column
-
-double number(const json& report, const char* pointer) {
-  const json::json_pointer at(pointer);
-  return report.contains(at) && report[at].is_number() ? report[at].get<double>() : kNan;
-}
 
 bool is_honest(const Figures& figures) {
   return figures.nees <= kHonestNees && figures.beyond_horizontal + figures.beyond_vertical == 0;
@@ -42,10 +38,6 @@ Verdict judge(const Figures& figures, const Figures& nominal, bool is_nominal) {
   return is_honest(figures) ? Verdict::kWide : Verdict::kWrong;
 }
 
-std::string cell(double value, int decimals) {
-  return std::isfinite(value) ? fmt::format("{:.{}f}", value, decimals) : "–";
-}
-
 // Results of one level in one scenario.
 using Group = std::vector<const Result*>;
 
@@ -56,18 +48,11 @@ std::vector<double> values(const Group& group, Get get) {
   return all;
 }
 
-// Median and worst; a run without the figure counts as the worst.
 template <class Get>
 std::string median_and_worst(const Group& group, int decimals, Get get) {
-  std::vector<double> all = values(group, get);
-  for (double& value : all) {
-    if (std::isnan(value)) value = std::numeric_limits<double>::infinity();
-  }
-  std::sort(all.begin(), all.end());
-  if (all.size() == 1) return cell(all.front(), decimals);
-  // Not by interpolation: there may be infinite ones.
-  const double middle = 0.5 * (all[(all.size() - 1) / 2] + all[all.size() / 2]);
-  return cell(middle, decimals) + " / " + cell(all.back(), decimals);
+  const Spread spread = Spread::of(values(group, get));
+  const std::string worst = cell(spread.worst, decimals);
+  return group.size() == 1 ? worst : cell(spread.middle, decimals) + " / " + worst;
 }
 
 template <class Get>
@@ -98,7 +83,7 @@ std::string words(const Group& group) {
   for (const Result* result : group) said.insert(result->health.begin(), result->health.end());
   std::string text = fmt::format("{}", fmt::join(said, "; "));
   std::replace(text.begin(), text.end(), '|', '/');
-  if (text.size() > kLongestHealth) text = text.substr(0, kLongestHealth) + "...";
+  if (text.size() > kLongestHealth) text.replace(kLongestHealth, std::string::npos, "...");
   return text;
 }
 
@@ -188,25 +173,25 @@ const char* name_of(Verdict verdict) {
 
 Figures Figures::of(const json& report) {
   Figures f;
-  f.rmse = number(report, "/fusion/rmse_m");
-  f.horizontal = number(report, "/fusion/horizontal_rmse_m");
-  f.vertical = number(report, "/fusion/vertical_rmse_m");
-  f.nees = 3 * number(report, "/fusion/nees/position");
-  f.epochs = number(report, "/fusion/protection/epochs");
-  f.bounded = number(report, "/fusion/protection/bounded");
-  f.beyond_horizontal = number(report, "/fusion/protection/misleading_horizontal");
-  f.beyond_vertical = number(report, "/fusion/protection/misleading_vertical");
-  f.located_share = number(report, "/fusion/located_share");
-  f.bounded_share = number(report, "/fusion/protection/bounded_share");
-  f.fixes = number(report, "/registration/fixes");
-  f.false_fixes = number(report, "/registration/false_fixes");
-  f.first_position = number(report, "/fusion/time_to_first_fix_from_start_s");
-  f.scale_start = number(report, "/vio/scale_errors/start/error");
-  f.scale_30s = number(report, "/vio/scale_errors/after_30s/error");
-  f.scale_end = number(report, "/vio/scale_errors/end/error");
-  f.claim_start = number(report, "/vio/scale_errors/start/stddev");
-  f.claim_30s = number(report, "/vio/scale_errors/after_30s/stddev");
-  f.claim_end = number(report, "/vio/scale_errors/end/stddev");
+  f.rmse = figure_of(report, "/fusion/rmse_m");
+  f.horizontal = figure_of(report, "/fusion/horizontal_rmse_m");
+  f.vertical = figure_of(report, "/fusion/vertical_rmse_m");
+  f.nees = 3 * figure_of(report, "/fusion/nees/position");
+  f.epochs = figure_of(report, "/fusion/protection/epochs");
+  f.bounded = figure_of(report, "/fusion/protection/bounded");
+  f.beyond_horizontal = figure_of(report, "/fusion/protection/misleading_horizontal");
+  f.beyond_vertical = figure_of(report, "/fusion/protection/misleading_vertical");
+  f.located_share = figure_of(report, "/fusion/located_share");
+  f.bounded_share = figure_of(report, "/fusion/protection/bounded_share");
+  f.fixes = figure_of(report, "/registration/fixes");
+  f.false_fixes = figure_of(report, "/registration/false_fixes");
+  f.first_position = figure_of(report, "/fusion/time_to_first_fix_from_start_s");
+  f.scale_start = figure_of(report, "/vio/scale_errors/start/error");
+  f.scale_30s = figure_of(report, "/vio/scale_errors/after_30s/error");
+  f.scale_end = figure_of(report, "/vio/scale_errors/end/error");
+  f.claim_start = figure_of(report, "/vio/scale_errors/start/stddev");
+  f.claim_30s = figure_of(report, "/vio/scale_errors/after_30s/stddev");
+  f.claim_end = figure_of(report, "/vio/scale_errors/end/stddev");
   if (report.contains("health")) {
     for (const auto& [service, health] : report["health"].items()) {
       if (!health.contains("said")) continue;
