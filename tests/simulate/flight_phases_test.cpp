@@ -5,6 +5,7 @@
 #include <fmt/format.h>
 #include <gtest/gtest.h>
 
+#include "common/math/angles.h"
 #include "tests/simulate/flight_fixtures.h"
 #include "tools/simulate/flight_plan.h"
 
@@ -12,7 +13,6 @@ namespace orthonav::simulate {
 namespace {
 
 constexpr double kGravity = 9.81;
-constexpr double kDegree = std::numbers::pi / 180.0;
 
 // Without wind, gusts, wander and jitter: what was ordered and nothing else.
 FlightOptions calm(std::vector<Phase> phases) {

@@ -1,10 +1,10 @@
 #include "tools/simulate/trajectory.h"
 
 #include <algorithm>
-#include <numbers>
 
 #include <gtest/gtest.h>
 
+#include "common/math/angles.h"
 #include "common/math/so3.h"
 #include "tests/simulate/flight_fixtures.h"
 #include "tools/simulate/flight_plan.h"
@@ -14,7 +14,6 @@ namespace orthonav::simulate {
 namespace {
 
 constexpr double kGravity = 9.81;
-constexpr double kDegree = std::numbers::pi / 180.0;
 
 Trajectory plan(const std::string& scenario, double width, double depth, uint64_t seed, bool take_off = false) {
   FlightOptions options = Scenario::load(config_folder(scenario)).flight;

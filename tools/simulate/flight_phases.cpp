@@ -3,21 +3,20 @@
 #include <algorithm>
 #include <cmath>
 #include <limits>
-#include <numbers>
 #include <stdexcept>
 
 #include <Eigen/Geometry>
 #include <fmt/format.h>
 
+#include "common/math/angles.h"
 #include "common/math/so3.h"
+#include "tools/simulate/lanes.h"
 #include "tools/simulate/random_stream.h"
 
 namespace orthonav::simulate {
 namespace {
 
-constexpr double kDegree = std::numbers::pi / 180.0;
 constexpr double kPastTheEnd = 10.0;      // s of motion beyond the flight, for the spline's last control points
-constexpr double kSettle = 2.0;           // s between a take-off's climb and the first phase
 constexpr double kSlowest = 1.0;          // m/s: slower aircraft turn as tightly as at this speed, and no tighter
 constexpr double kCourseHold = 1.0;       // 1/s, rate of turn per error of the course
 constexpr double kRollInAndOut = 1.25;    // times a circle's width is what a half-turn from lane to lane takes
@@ -39,35 +38,28 @@ struct Waypoint {
 // far apart as a half-turn is wide, and no more than the flight fills.
 std::vector<Waypoint> lay_circuit(const FlightOptions& options, const FlightArea& area, double gravity, uint64_t seed) {
   RandomStream stream(seed, "flight.circuit");
-  const Eigen::Vector2d margin = Eigen::Vector2d::Constant(options.border_margin_m);
-  const Eigen::Vector2d low = Eigen::Vector2d(area.east_min, area.north_min) + margin;
-  const Eigen::Vector2d high = Eigen::Vector2d(area.east_max, area.north_max) - margin;
-  const Eigen::Vector2d size = high - low;
+  Lanes lanes(area, options.border_margin_m);
+  const double room = (lanes.high - lanes.low).minCoeff();
   double width = kLeastLaneSpacing, length = 0;
   for (const Phase& phase : options.phases) {
     const double fastest = phase.circle ? phase.speed : phase.speed * (1 + options.leg_speed_spread);
     width = std::max(width, (phase.circle ? 1.0 : kRollInAndOut) * 2 * turn_radius(phase, fastest, gravity));
     length += phase.seconds * phase.speed;
-    if (width > size.minCoeff()) {
+    if (width > room) {
       throw std::invalid_argument(fmt::format(
           "flight.phases.{}: a turn is {:.0f} m wide, and border_margin_m leaves {:.0f} m of the map: bank more, fly "
           "slower or enlarge the world",
-          phase.name, width, size.minCoeff()));
+          phase.name, width, room));
     }
   }
-  const int along = size.x() > size.y() ? 0 : 1, across = 1 - along;
-  const int fitting = static_cast<int>(size[across] / width) + 1;
-  const int wanted = static_cast<int>(std::ceil((length - size[across]) / size[along]));
-  const int lanes = std::max(2, 2 * (std::min(fitting, wanted) / 2));
-  const double spacing = size[across] / (lanes - 1);
-  const bool flip_along = stream.uniform(0, 1) < 0.5, flip_across = stream.uniform(0, 1) < 0.5;
+  const int fitting = static_cast<int>(lanes.length(lanes.across()) / width) + 1;
+  const int wanted = static_cast<int>(std::ceil(lanes.filled_by(length)));
+  lanes.count = std::max(2, 2 * (std::min(fitting, wanted) / 2));
+  lanes.draw_start(stream);
   std::vector<Waypoint> circuit;
-  for (int corner = 0; corner < 2 * lanes; ++corner) {
-    const int lane = corner / 2;
-    const bool far = (corner % 4 == 1) || (corner % 4 == 2);
+  for (int corner = 0; corner < 2 * lanes.count; ++corner) {
     Waypoint waypoint;
-    waypoint.p[along] = far != flip_along ? high[along] : low[along];
-    waypoint.p[across] = flip_across ? high[across] - lane * spacing : low[across] + lane * spacing;
+    waypoint.p = lanes.end(corner / 2, corner % 4 == 1 || corner % 4 == 2);
     waypoint.speed = 1.0 + options.leg_speed_spread * stream.uniform(-1, 1);
     circuit.push_back(waypoint);
   }
@@ -191,12 +183,6 @@ class Pilot {
 
 }  // namespace
 
-Eigen::Vector4d NominalMotion::at(double t) const {
-  const double x = t / kStep;
-  const auto i = static_cast<size_t>(std::clamp(std::floor(x), 0.0, static_cast<double>(samples_.size()) - 2.0));
-  return samples_[i] + (x - static_cast<double>(i)) * (samples_[i + 1] - samples_[i]);
-}
-
 OrderedFlight fly_phases(const FlightOptions& options, const FlightArea& area, double gravity, double ground_offset,
                          uint64_t seed) {
   if (options.phases.front().height_m <= 0) {
@@ -217,17 +203,18 @@ OrderedFlight fly_phases(const FlightOptions& options, const FlightArea& area, d
   } else {
     pilot.start_in_flight(phases.front());
   }
+  constexpr double kStep = SampledMotion<Eigen::Vector4d>::kStep;
   std::vector<Eigen::Vector4d> samples;
   double end = 0, t = 0;
   for (size_t i = 0; i < phases.size(); ++i) {
     end += phases[i].seconds;
     pilot.begin(phases[i]);
-    for (; t < end + (i + 1 == phases.size() ? kPastTheEnd : 0.0); t += NominalMotion::kStep) {
+    for (; t < end + (i + 1 == phases.size() ? kPastTheEnd : 0.0); t += kStep) {
       samples.push_back(pilot.state());
-      pilot.step(phases[i], NominalMotion::kStep);
+      pilot.step(phases[i], kStep);
     }
   }
-  return {NominalMotion(std::move(samples)), end};
+  return {SampledMotion<Eigen::Vector4d>(std::move(samples)), end};
 }
 
 }  // namespace orthonav::simulate
