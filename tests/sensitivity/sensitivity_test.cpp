@@ -6,11 +6,15 @@
 #include <fmt/format.h>
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
-#include <unistd.h>
 
 #include "common/camera/aircraft.h"
 #include "common/camera/camera_model.h"
 #include "common/math/so3.h"
+#include "services/fusion/options.h"
+#include "services/map_server/options.h"
+#include "services/registration/registration_service.h"
+#include "services/vio/options.h"
+#include "tests/support/temporary_folder.h"
 #include "tools/sensitivity/plan.h"
 #include "tools/sensitivity/results.h"
 #include "tools/simulate/scenario.h"
@@ -51,24 +55,13 @@ rows:
 
 class Sensitivity : public testing::Test {
  protected:
-  Sensitivity()
-      : folder_(fs::temp_directory_path() /
-                fmt::format("orthonav_sensitivity_{}_{}", getpid(),
-                            testing::UnitTest::GetInstance()->current_test_info()->name())) {
-    fs::create_directories(folder_);
-  }
-  ~Sensitivity() override { fs::remove_all(folder_); }
-
   // Made, and its configurations written.
   static Plan written(const Table& table, const PlanOptions& options) {
     const Plan plan = make_plan(table, options);
     write_configs(plan);
     return plan;
   }
-  Table table(const std::string& text = kTable) const {
-    std::ofstream(folder_ / "table.yaml") << text;
-    return Table::load(folder_ / "table.yaml");
-  }
+  Table table(const std::string& text = kTable) const { return Table::load(folder_.write("table.yaml", text)); }
   PlanOptions options(std::vector<uint64_t> seeds) const {
     return {.configs = kSource / "config",
             .folder = folder_ / "config",
@@ -86,28 +79,50 @@ class Sensitivity : public testing::Test {
     json["health"]["vio"]["said"] = {{{"message", name + " speaks"}, {"state", "degraded"}},
                                      {{"message", fmt::format("usual, for {} m", rmse)}, {"state", "failed"}},
                                      {{"message", "collecting motion"}, {"state", "starting"}}};
-    std::ofstream(folder_ / (name + ".json")) << json;
+    folder_.write(name + ".json", json.dump());
   }
 
-  fs::path folder_;
+  test::TemporaryFolder folder_;
 };
 
-TEST_F(Sensitivity, TheShippedTablesAreFlownByScenariosThatLoad) {
+// As the programs that fly it: a key that nobody knows is an error.
+void read_flight(const fs::path& folder) {
+  simulate::Scenario scenario = simulate::Scenario::load(folder);
+  std::optional<simulate::RasterOptions> raster;
+  simulate::read_world(scenario.world, "season", raster);
+}
+void read_run(const fs::path& folder) {
+  simulate::Scenario::load(folder);  // which alone knows every key of aircraft.yaml
+  vio::load_setup(folder);
+  registration::RegistrationService::read(folder);
+  map_server::ServerOptions::from_config(folder);
+  fusion::FusionOptions::load(folder);
+}
+
+TEST_F(Sensitivity, TheShippedTablesAreReadByThoseWhoFlyThem) {
   for (const char* name : {"sensitivity.yaml", "sensitivity_short.yaml"}) {
     const Table shipped = Table::load(kSource / "tools/benchmark" / name);
     PlanOptions all = options({2});
     all.scenarios.clear();
     const Plan plan = written(shipped, all);
     EXPECT_GE(plan.runs.size(), shipped.levels.size()) << name;
-    for (const Simulation& simulation : plan.simulations) {
-      std::optional<simulate::RasterOptions> raster;
-      EXPECT_NO_THROW({
-        simulate::Scenario scenario = simulate::Scenario::load(simulation.config);
-        simulate::read_world(scenario.world, "season", raster);
-      }) << simulation.name;
-    }
-    for (const auto& run : plan.runs) EXPECT_NO_THROW(load_aircraft(run.config)) << run.name;
+    for (const Simulation& simulation : plan.simulations) EXPECT_NO_THROW(read_flight(simulation.config));
+    for (const Run& run : plan.runs) EXPECT_NO_THROW(read_run(run.config)) << run.name;
   }
+}
+
+TEST_F(Sensitivity, AMisspeltParameterOfTheTableIsFound) {
+  for (const std::string believed :
+       {"vio: {readout: 0.01}", "registration: {submap: {search: true}}", "map_server: {map: {dems: none}}",
+        "fusion: {windw: 3}", "aircraft: {imu: {noise: 1}}"}) {
+    const Plan plan =
+        written(table(std::string(kTable) + "  - row: x\n    levels: [{level: a, " + believed + "}]\n"), options({1}));
+    EXPECT_THROW(read_run(plan.runs.back().config), ConfigError) << believed;
+  }
+  const Plan plan =
+      written(table(std::string(kTable) + "  - row: x\n    levels: [{level: a, simulate: {flight: {hieght_m: 3}}}]\n"),
+              options({1}));
+  EXPECT_THROW(read_flight(plan.simulations.back().config), ConfigError);
 }
 
 TEST_F(Sensitivity, FlightsThatOnlyTheNavigatorSeesOtherwiseAreOne) {
@@ -240,18 +255,18 @@ TEST_F(Sensitivity, WhatCannotBeLaidOverIsRefused) {
   EXPECT_THAT(fault("calibration: {focal: 1.1}, aircraft: {camera: {fx: 600}}"), HasSubstr("say one"));
   EXPECT_EQ(fault("calibration: {focal: 1.1}, aircraft: {imu: {gyro_noise: 1.0e-3}}"), "none");
 
-  const Config bare{folder_, folder_ / "out", {{"vio", YAML::Load("{window: 3}")}}};
+  const Config bare{folder_.path(), folder_ / "out", {{"vio", YAML::Load("{window: 3}")}}};
   EXPECT_THROW(write_configs({{}, {}, {bare}}), std::runtime_error) << "there is no vio.yaml";
 }
 
 TEST_F(Sensitivity, ACalibrationOfKalibrsIsNotMadeWrongInVain) {
-  std::ofstream(folder_ / "aircraft.yaml")
-      << "extends: " << (kSource / "config/rural/aircraft.yaml").string() << "\nkalibr: {imu: imu.yaml}\n";
-  std::ofstream(folder_ / "imu.yaml") << "{gyroscope_noise_density: 1.0e-4, gyroscope_random_walk: 1.0e-5, "
-                                         "accelerometer_noise_density: 1.0e-3, accelerometer_random_walk: 1.0e-3, "
-                                         "update_rate: 200}";
-  EXPECT_EQ(aircraft_overlay(folder_, {}).size(), 0U);
-  EXPECT_THROW(aircraft_overlay(folder_, {.focal = 1.01}), ConfigError);
+  folder_.write("aircraft.yaml", fmt::format("extends: {}\nkalibr: {{imu: imu.yaml}}\n",
+                                             (kSource / "config/rural/aircraft.yaml").string()));
+  folder_.write("imu.yaml",
+                "{gyroscope_noise_density: 1.0e-4, gyroscope_random_walk: 1.0e-5, accelerometer_noise_density: 1.0e-3, "
+                "accelerometer_random_walk: 1.0e-3, update_rate: 200}");
+  EXPECT_EQ(aircraft_overlay(folder_.path(), {}).size(), 0U);
+  EXPECT_THROW(aircraft_overlay(folder_.path(), {.focal = 1.01}), ConfigError);
 }
 
 TEST_F(Sensitivity, ARunIsRightOrWideOrWrongOrSilent) {
@@ -263,8 +278,8 @@ TEST_F(Sensitivity, ARunIsRightOrWideOrWrongOrSilent) {
   report("rural-1-imu-noise-sheet-right-x10", 3.1, 2.1, 0);
   report("rural-1-imu-noise-sheet-wrong-x10", 3.1, 1.0, 1);
   report("rural-1-map-offset-5-m", 0, 0, 0, 0);
-  std::ofstream(folder_ / "rural-1-nominal.flown-by") << "e9489a9 0123456789abcdef\n";
-  const std::vector<Result> results = read_results(plan, folder_);
+  folder_.write("rural-1-nominal.flown-by", "e9489a9 0123456789abcdef\n");
+  const std::vector<Result> results = read_results(plan, folder_.path());
   std::vector<std::string> verdicts;
   for (const Result& result : results) verdicts.emplace_back(name_of(result.verdict));
   EXPECT_THAT(verdicts, ElementsAre("right", "wide", "right", "WRONG", "WRONG", "silent"));
@@ -285,7 +300,7 @@ TEST_F(Sensitivity, TheNominalRunIsRightWhenItIsHonest) {
   const Plan plan = make_plan(table(), options({1}));
   const auto verdict = [&](double nees, int beyond) {
     report("rural-1-nominal", 1.5, nees, beyond);
-    return read_results(plan, folder_).front().verdict;
+    return read_results(plan, folder_.path()).front().verdict;
   };
   EXPECT_EQ(verdict(2.0, 0), Verdict::kRight) << "NEES 6 of 3";
   EXPECT_EQ(verdict(2.1, 0), Verdict::kWrong);
@@ -297,22 +312,22 @@ TEST_F(Sensitivity, ARowIsTheMedianAndTheWorstOfItsSeeds) {
   const Plan plan = make_plan(t, options({1, 2, 3}));
   const char* const starts[] = {"rural-1", "rural-2-take-off", "rural-3"};
   for (int i = 0; i < 3; ++i) report(std::string(starts[i]) + "-nominal", 1.0 + i, 1.0, 0);
-  const std::string text = to_table(t, read_results(plan, folder_));
+  const std::string text = to_table(t, read_results(plan, folder_.path()));
   EXPECT_THAT(text, HasSubstr("| nominal |  | rural | right right right | 2.00 / 3.00 |"));
   report("rural-2-take-off-nominal", 0, 0, 0, 0);
-  EXPECT_THAT(to_table(t, read_results(plan, folder_)), HasSubstr("right silent right | 3.00 / – |"));
+  EXPECT_THAT(to_table(t, read_results(plan, folder_.path())), HasSubstr("right silent right | 3.00 / – |"));
 }
 
 TEST_F(Sensitivity, MissingRunsAreLeftOutAndAMissingNominalOneIsAnError) {
   const Table t = table();
   const Plan plan = make_plan(t, options({1}));
-  EXPECT_TRUE(read_results(plan, folder_).empty());
+  EXPECT_TRUE(read_results(plan, folder_.path()).empty());
   EXPECT_THAT(outside_bands(t, plan, {}), ElementsAre("rural-1-focal-length-plus3: was not flown"));
   PlanOptions some = options({1});
   some.rows = {"map offset"};
   EXPECT_TRUE(outside_bands(t, make_plan(t, some), {}).empty()) << "a row that was not asked for";
   report("rural-1-focal-length-plus3", 1, 1, 0);
-  EXPECT_THROW(read_results(plan, folder_), std::invalid_argument);
+  EXPECT_THROW(read_results(plan, folder_.path()), std::invalid_argument);
 }
 
 TEST_F(Sensitivity, TablesWithMistakesAreRefusedWithTheirLine) {

@@ -10,7 +10,7 @@
 namespace orthonav::sensitivity {
 namespace {
 
-const std::set<std::string> kBelieved = {"aircraft", "vio", "registration", "map_server", "fusion", "ingest"};
+const std::set<std::string> kBelieved = {"aircraft", "vio", "registration", "map_server", "fusion"};
 
 class Reader {
  public:
