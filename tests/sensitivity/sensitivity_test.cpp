@@ -107,7 +107,7 @@ TEST_F(Sensitivity, TheShippedTablesAreReadByThoseWhoFlyThem) {
     const Plan plan = written(shipped, all);
     EXPECT_GE(plan.runs.size(), shipped.levels.size()) << name;
     for (const Simulation& simulation : plan.simulations) EXPECT_NO_THROW(read_flight(simulation.config));
-    for (const Run& run : plan.runs) EXPECT_NO_THROW(read_run(run.config)) << run.name;
+    for (const auto& run : plan.runs) EXPECT_NO_THROW(read_run(run.config)) << run.name;
   }
 }
 

@@ -167,7 +167,7 @@ TEST(Phases, StandStillAfterALandingFromFlightAndRiseStraightAgain) {
   EXPECT_NEAR(flight.at(130).v_G_B.head<2>().norm(), 8, 0.5);
 }
 
-TEST(Phases, ASurveyStandsStillOnSlopingGroundToo) {
+TEST(FlightPlan, ASurveyStandsStillOnSlopingGroundToo) {
   FlightOptions options;
   options.take_off = true;
   options.standstill_s = 10;
