@@ -1,7 +1,6 @@
 #include "services/ingest/sensor_service.h"
 
 #include <algorithm>
-#include <cctype>
 #include <cmath>
 #include <string>
 
@@ -9,6 +8,7 @@
 #include <spdlog/spdlog.h>
 
 #include "common/bus/channels.h"
+#include "common/bus/wording.h"
 #include "services/ingest/ingest_service.h"
 #include "services/ingest/sensor_options.h"
 
@@ -98,9 +98,7 @@ void SensorService::watch() {
   }
   if (!imu_is_sound)
     for (auto& [channel, watch] : watches_) watch.forget_turn(now, yaw_);
-  // Seconds and shares go on counting; what is news has other words.
-  std::string words = complaint;
-  std::erase_if(words, [](char c) { return std::isdigit(static_cast<unsigned char>(c)) != 0 || c == '.' || c == '-'; });
+  const std::string words = wording(complaint);
   if (words != words_) {
     if (complaint.empty()) {
       spdlog::info("all sensors are there");

@@ -45,15 +45,15 @@ struct ServiceOptions {
 
 class RegistrationService : public Service {
  public:
-  // Reads registration.yaml and, of aircraft.yaml, `camera` and `magnetic_declination_deg`. Throws ConfigError.
-  RegistrationService(Node& node, const std::filesystem::path& config_folder);
-
- private:
   struct Setup {
     ServiceOptions options;
     CameraModel camera;
   };
+  // Reads registration.yaml and, of aircraft.yaml, `camera` and `magnetic_declination_deg`. Throws ConfigError.
   static Setup read(const std::filesystem::path& config_folder);
+  RegistrationService(Node& node, const std::filesystem::path& config_folder);
+
+ private:
   RegistrationService(Node& node, const Setup& setup);
 
   void handle(const image_t& image);

@@ -1,7 +1,5 @@
 #include "common/camera/aircraft.h"
 
-#include <fstream>
-
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
@@ -44,11 +42,10 @@ kalibr: {camchain: camchain-imucam.yaml, imu: imu.yaml}
 
 class Aircraft : public testing::Test {
  protected:
-  void write(const std::string& name, const std::string& text) const { std::ofstream(folder_ / name) << text; }
   void write_all(const std::string& camchain = kCamchain) const {
-    write("aircraft.yaml", kAircraft);
-    write("camchain-imucam.yaml", camchain);
-    write("imu.yaml", kImu);
+    folder_.write("aircraft.yaml", kAircraft);
+    folder_.write("camchain-imucam.yaml", camchain);
+    folder_.write("imu.yaml", kImu);
   }
   std::string error() const {
     try {
@@ -136,7 +133,7 @@ TEST_F(Aircraft, WhatCannotBeUsedIsAnErrorWithFileAndLine) {
 
 TEST_F(Aircraft, AMisspeltKeyOfTheKalibrEntryIsAnError) {
   write_all();
-  write("aircraft.yaml", "kalibr: {camchian: camchain-imucam.yaml}\n");
+  folder_.write("aircraft.yaml", "kalibr: {camchian: camchain-imucam.yaml}\n");
   EXPECT_THAT(error(), HasSubstr("camchian"));
 }
 

@@ -1,9 +1,9 @@
 #include "common/config/config.h"
 
-#include <fstream>
-
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
+
+#include "tests/support/temporary_folder.h"
 
 namespace orthonav {
 namespace {
@@ -53,18 +53,13 @@ TEST(Config, MalformedFileNamesTheLine) {
 
 class ConfigFiles : public testing::Test {
  protected:
-  void SetUp() override {
-    folder_ = std::filesystem::path(testing::TempDir()) /
-              ("config_" + std::string(testing::UnitTest::GetInstance()->current_test_info()->name()));
-    std::filesystem::create_directories(folder_ / "base");
-  }
-  void write(const std::string& name, const std::string& text) const { std::ofstream(folder_ / name) << text; }
-  std::filesystem::path folder_;
+  void SetUp() override { std::filesystem::create_directories(folder_ / "base"); }
+  test::TemporaryFolder folder_;
 };
 
 TEST_F(ConfigFiles, ExtendsOverlaysKeyByKey) {
-  write("base/vio.yaml", "window: 10\ntracker:\n  features: 150\n  quality: 0.01\nmap: m.tif\n");
-  write("vio.yaml", "extends: base/vio.yaml\ntracker:\n  features: 200\n");
+  folder_.write("base/vio.yaml", "window: 10\ntracker:\n  features: 150\n  quality: 0.01\nmap: m.tif\n");
+  folder_.write("vio.yaml", "extends: base/vio.yaml\ntracker:\n  features: 200\n");
   auto node = ConfigNode::load(folder_ / "vio.yaml");
   int window = 0, features = 0;
   double quality = 0;
@@ -84,8 +79,8 @@ TEST_F(ConfigFiles, ExtendsOverlaysKeyByKey) {
 }
 
 TEST_F(ConfigFiles, MisspeltKeyInTheBaseNamesTheBase) {
-  write("base/a.yaml", "good: 1\nbd: 2\n");
-  write("a.yaml", "extends: base/a.yaml\n");
+  folder_.write("base/a.yaml", "good: 1\nbd: 2\n");
+  folder_.write("a.yaml", "extends: base/a.yaml\n");
   auto node = ConfigNode::load(folder_ / "a.yaml");
   int good = 0;
   node.read("good", good);
@@ -93,7 +88,7 @@ TEST_F(ConfigFiles, MisspeltKeyInTheBaseNamesTheBase) {
 }
 
 TEST_F(ConfigFiles, AKeyThatIsNoWordIsAnErrorLikeAMisspeltOne) {
-  write("a.yaml", "good: 1\n? [a, b]\n: 2\n");
+  folder_.write("a.yaml", "good: 1\n? [a, b]\n: 2\n");
   auto node = ConfigNode::load(folder_ / "a.yaml");
   int good = 0;
   node.read("good", good);
@@ -101,8 +96,8 @@ TEST_F(ConfigFiles, AKeyThatIsNoWordIsAnErrorLikeAMisspeltOne) {
 }
 
 TEST_F(ConfigFiles, CircularExtendsIsAnError) {
-  write("a.yaml", "extends: b.yaml\n");
-  write("b.yaml", "extends: a.yaml\n");
+  folder_.write("a.yaml", "extends: b.yaml\n");
+  folder_.write("b.yaml", "extends: a.yaml\n");
   EXPECT_THAT(error_of([&] { ConfigNode::load(folder_ / "a.yaml"); }), HasSubstr("circle"));
 }
 

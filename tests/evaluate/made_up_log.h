@@ -1,6 +1,7 @@
 // A log whose every figure is known beforehand.
 #pragma once
 
+#include <algorithm>
 #include <cmath>
 #include <filesystem>
 #include <functional>
@@ -29,7 +30,9 @@ inline const Geodetic kAnchor{47.5, 8.7, 400.0};
 
 struct LogContent {
   bool truth = true, gnss = true, images = true, vio = true, keyframes = true, fixes = true, nav = true;
-  double vio_scale = 0.8;    // odometry's size over the true one
+  double vio_scale = 0.8;    // odometry's size over the true one, at the start
+  double scale_change = 0;   // of the size of each step from then on, per s
+  double scale_stddev = 0;   // what the odometry says of its scale; 0: nothing
   double vio_noise = 0.0;    // m, alternating east error
   int64_t logger_delay = 0;  // microseconds from an image to its NAV_STATE in the log; 0: a replay
   Eigen::Vector3d fix_error{3.0, 4.0, 0.0};
@@ -72,6 +75,7 @@ inline void write_log(const std::filesystem::path& file, const LogContent& conte
   LogWriter writer(file);
   // W is turned by half a radian and moved against G.
   const Eigen::Quaterniond q_W_G = so3_exp(Eigen::Vector3d(0, 0, 0.5));
+  Eigen::Vector3d flown = content.vio_scale * true_position(0);
   for (int k = 0; k < kImages; ++k) {
     const double t = 0.1 * k;
     const int64_t utime = kStart + 100'000 * k;
@@ -109,7 +113,8 @@ inline void write_log(const std::filesystem::path& file, const LogContent& conte
       image.size = 64;
       writer.write(logged, channel::kCamera, image);
     }
-    Eigen::Vector3d p_W_B = content.vio_scale * (q_W_G * p_G_B) + Eigen::Vector3d(7.0, -3.0, 2.0);
+    flown += (content.vio_scale + content.scale_change * t) * (p_G_B - true_position(std::max(0.0, t - 0.1)));
+    Eigen::Vector3d p_W_B = q_W_G * flown + Eigen::Vector3d(7.0, -3.0, 2.0);
     p_W_B.x() += k % 2 == 0 ? content.vio_noise : -content.vio_noise;
     const Eigen::Vector2d lean_en = content.lean * lean_direction(t);
     const Eigen::Quaterniond q_W_B = q_W_G * so3_exp(Eigen::Vector3d(-lean_en.y(), lean_en.x(), 0)) * q_G_B;
@@ -117,6 +122,7 @@ inline void write_log(const std::filesystem::path& file, const LogContent& conte
       vio_state_t state{};
       state.utime = utime;
       state.session = 1;
+      state.scale_stddev = content.scale_stddev;
       state.status = k < 20 ? vio_state_t::INITIALISING : vio_state_t::TRACKING;
       put(p_W_B, state.p_W_B);
       put(q_W_B, state.q_W_B);

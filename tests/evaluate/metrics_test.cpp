@@ -74,6 +74,26 @@ TEST_F(Evaluate, TheOdometrysScaleIsGivenAtTheStartAndLater) {
   EXPECT_FALSE(evaluate(read({.vio = false})).vio.scale_at_start);
 }
 
+TEST_F(Evaluate, AScaleThatChangesIsThatOfItsStretch) {
+  const FlightRecord& record = read({.vio_scale = 0.9, .scale_change = 0.002, .scale_stddev = 0.03});
+  const VioMetrics vio = evaluate(record).vio;
+  // A stretch of 10 m takes 1.5 to 2 s; poses are there from 2 s on, to 60 s.
+  ASSERT_TRUE(vio.scale_at_start && vio.scale_after_30s && vio.scale_at_end);
+  EXPECT_NEAR(vio.scale_at_start->error, -0.1 + 0.002 * 3, 0.0015);
+  EXPECT_NEAR(vio.scale_after_30s->error, -0.1 + 0.002 * 33, 0.0015);
+  EXPECT_NEAR(vio.scale_at_end->error, -0.1 + 0.002 * 59, 0.0015);
+  EXPECT_EQ(vio.scale_at_end->stddev, 0.03);
+
+  // Nearest to the time asked for, on the side asked for.
+  const OdometryScale scale(record);
+  const int64_t at = kStart + 40'000'000;
+  EXPECT_LT(scale.ending_at(at)->error, -0.1 + 0.002 * 40);
+  EXPECT_GT(scale.beginning_at(at)->error, -0.1 + 0.002 * 40);
+  EXPECT_FALSE(scale.ending_at(scale.begin())) << "nothing lies before the first pose";
+  EXPECT_FALSE(scale.ending_at(scale.begin() - 1));
+  EXPECT_FALSE(scale.beginning_at(scale.end()));
+}
+
 TEST_F(Evaluate, FixesThatLeanWithTheOdometryOverAnOffMapAreExplained) {
   const FlightRecord& record =
       read({.vio_scale = 1.0, .fix_error = {0.5, -0.3, 2.0}, .lean = 0.02, .fix_leans = 0.8, .false_fix = -1});

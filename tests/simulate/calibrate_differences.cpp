@@ -23,6 +23,7 @@
 #include "common/camera/camera_model.h"
 #include "common/config/config.h"
 #include "common/geo/raster.h"
+#include "common/math/angles.h"
 #include "common/math/statistics.h"
 #include "tools/simulate/height_field.h"
 #include "tools/simulate/ray_caster.h"
@@ -35,7 +36,6 @@ using orthonav::simulate::HeightField;
 using orthonav::simulate::RayCaster;
 using orthonav::simulate::World;
 
-constexpr double kDegree = std::numbers::pi / 180;
 constexpr double kInlierRadius = 9, kTrueRadius = 30;  // m
 constexpr size_t kTrueInliers = 8, kFixInliers = 15;
 

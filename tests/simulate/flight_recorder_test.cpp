@@ -5,7 +5,6 @@
 #include <set>
 
 #include <gtest/gtest.h>
-#include <unistd.h>
 
 #include "common/bus/channels.h"
 #include "common/camera/image_decode.h"
@@ -16,6 +15,7 @@
 #include "orthonav/imu_t.hpp"
 #include "orthonav/truth_t.hpp"
 #include "tests/simulate/flight_fixtures.h"
+#include "tests/support/temporary_folder.h"
 #include "tools/simulate/ordered_parallel.h"
 
 namespace orthonav::simulate {
@@ -23,14 +23,6 @@ namespace {
 
 class Recording : public testing::Test {
  protected:
-  Recording()
-      : folder_(std::filesystem::temp_directory_path() /
-                ("orthonav_recording_" + std::to_string(getpid()) + "_" +
-                 testing::UnitTest::GetInstance()->current_test_info()->name())) {
-    std::filesystem::create_directories(folder_);
-  }
-  ~Recording() override { std::filesystem::remove_all(folder_); }
-
   RecordingSummary record(const std::string& name, uint64_t seed, int threads, const std::string& asl = "") {
     RecordingOptions options{
         .log = folder_ / name, .asl_folder = {}, .seconds = 1.5, .threads = threads, .progress = {}};
@@ -42,7 +34,7 @@ class Recording : public testing::Test {
     return {std::istreambuf_iterator<char>(in), {}};
   }
 
-  std::filesystem::path folder_;
+  test::TemporaryFolder folder_;
   World world_ = rolling_world(510, 400);
   Scenario scenario_ = Scenario::load(config_folder("rural"));
 };
@@ -214,19 +206,21 @@ TEST(Scenario, FieldsOfViewAreThoseOfThePaper) {
 }
 
 TEST(Scenario, AMisspeltKeyIsAnErrorWithItsLine) {
-  const auto folder = std::filesystem::temp_directory_path() / ("orthonav_scenario_" + std::to_string(getpid()));
-  std::filesystem::create_directories(folder);
-  std::filesystem::copy_file(config_folder("default") / "aircraft.yaml", folder / "aircraft.yaml",
-                             std::filesystem::copy_options::overwrite_existing);
-  std::ofstream(folder / "simulate.yaml") << "start_unix_s: 1\nflight:\n  hieght_m: 3\n";
+  const test::TemporaryFolder folder;
+  std::filesystem::copy_file(config_folder("default") / "aircraft.yaml", folder / "aircraft.yaml");
+  folder.write("simulate.yaml", "start_unix_s: 1\nflight:\n  hieght_m: 3\n");
   try {
-    Scenario::load(folder);
+    Scenario::load(folder.path());
     ADD_FAILURE() << "accepted";
   } catch (const ConfigError& error) {
     EXPECT_NE(std::string(error.what()).find("simulate.yaml:3"), std::string::npos) << error.what();
     EXPECT_NE(std::string(error.what()).find("hieght_m"), std::string::npos) << error.what();
   }
-  std::filesystem::remove_all(folder);
+}
+
+TEST(Scenario, AShutterThatRollsBackwardsIsRefused) {
+  ConfigNode node = ConfigNode::parse("readout_ms: -5", "test");
+  EXPECT_THROW(CameraEffectOptions::from_config(node), ConfigError);
 }
 
 TEST(OrderedParallel, ConsumesInOrderAndPassesErrorsOn) {

@@ -7,6 +7,7 @@
 #include <Eigen/QR>
 #include <gtest/gtest.h>
 
+#include "common/math/angles.h"
 #include "common/math/so3.h"
 #include "tests/simulate/flight_fixtures.h"
 #include "tools/simulate/flight_plan.h"
@@ -14,7 +15,6 @@
 namespace orthonav::simulate {
 namespace {
 
-constexpr double kDegree = std::numbers::pi / 180.0;
 constexpr int64_t kStart = 1700000000000000;
 
 const Trajectory& flight() {

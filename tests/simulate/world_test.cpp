@@ -11,10 +11,10 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 #include <opencv2/imgproc.hpp>
-#include <unistd.h>
 
 #include "common/config/config.h"
 #include "common/geo/raster.h"
+#include "tests/support/temporary_folder.h"
 #include "tools/simulate/world_light.h"
 #include "tools/simulate/world_map.h"
 #include "tools/simulate/world_paint.h"
@@ -24,27 +24,17 @@ namespace {
 
 class WorldTest : public testing::Test {
  protected:
-  void SetUp() override {
-    const auto* test = testing::UnitTest::GetInstance()->current_test_info();
-    folder_ = std::filesystem::temp_directory_path() /
-              (std::string("orthonav_world_") + test->name() + std::to_string(getpid()));
-    std::filesystem::create_directories(folder_);
-  }
-  void TearDown() override { std::filesystem::remove_all(folder_); }
-
   // A world of 120 x 90 m with the shipped differences, and `more` under `world:`.
   World make(uint64_t seed, const std::string& difference, const std::filesystem::path& map,
              const std::string& more = "") {
-    const std::filesystem::path file = folder_ / "simulate.yaml";
-    std::ofstream(file) << "extends: " << ORTHONAV_SOURCE
-                        << "/config/default/world.yaml\nworld:\n  east: 120\n  north: 90\n  margin: 20\n"
-                        << more;
-    ConfigNode top = ConfigNode::load(file);
+    ConfigNode top = ConfigNode::load(folder_.write(
+        "simulate.yaml", std::string("extends: ") + ORTHONAV_SOURCE +
+                             "/config/default/world.yaml\nworld:\n  east: 120\n  north: 90\n  margin: 20\n" + more));
     ConfigNode world = top.child("world");
     return make_world(world, seed, difference, map);
   }
 
-  std::filesystem::path folder_;
+  test::TemporaryFolder folder_;
 };
 
 bool same(const cv::Mat& a, const cv::Mat& b) {

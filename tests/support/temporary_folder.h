@@ -3,6 +3,7 @@
 
 #include <cstdlib>
 #include <filesystem>
+#include <fstream>
 #include <stdexcept>
 #include <string>
 
@@ -24,6 +25,12 @@ class TemporaryFolder {
 
   const std::filesystem::path& path() const { return path_; }
   std::filesystem::path operator/(const std::string& name) const { return path_ / name; }
+  // Writes a file of it, and gives its place.
+  std::filesystem::path write(const std::string& name, const std::string& text) const {
+    std::ofstream file(path_ / name, std::ios::binary);
+    if (!(file << text << std::flush)) throw std::runtime_error(name + ": cannot be written");
+    return path_ / name;
+  }
 
  private:
   std::filesystem::path path_;

@@ -8,7 +8,6 @@
 
 #include "common/math/so3.h"
 #include "tools/evaluate/figures.h"
-#include "tools/evaluate/odometry_scale.h"
 
 namespace orthonav::evaluate {
 namespace {
@@ -37,10 +36,10 @@ Eigen::Vector2d course_at(const Reference& reference, int64_t utime) {
   return way.norm() < 2 * kCourseSpeed ? Eigen::Vector2d::Zero() : Eigen::Vector2d(way.normalized());
 }
 
-std::vector<Causes> causes_of(const FlightRecord& record, const RegistrationMetrics& registration) {
+std::vector<Causes> causes_of(const FlightRecord& record, const RegistrationMetrics& registration,
+                              const OdometryScale& odometry) {
   std::map<int64_t, const vio_state_t*> states;
   for (const auto& [logged_at, state] : record.vio) states[state.utime] = &state;
-  const OdometryScale odometry(record);
   std::vector<Causes> all;
   for (const JudgedFix& judged : registration.fixes) {
     if (!judged.p_G_B || !judged.reference || judged.false_fix) continue;
@@ -88,10 +87,11 @@ Fit fit(const Eigen::MatrixXd& causes, const Eigen::VectorXd& errors) {
 
 }  // namespace
 
-ErrorRegression regress_errors(const FlightRecord& record, const RegistrationMetrics& registration) {
+ErrorRegression regress_errors(const FlightRecord& record, const RegistrationMetrics& registration,
+                               const OdometryScale& odometry) {
   ErrorRegression result;
   if (record.truth.empty()) return result;
-  const std::vector<Causes> all = causes_of(record, registration);
+  const std::vector<Causes> all = causes_of(record, registration, odometry);
   result.fixes = static_cast<int>(all.size());
   if (result.fixes < kFewest) return result;
 

@@ -11,9 +11,11 @@
 #include <Eigen/Core>
 
 #include "tools/evaluate/metrics.h"
+#include "tools/evaluate/odometry_scale.h"
 
 namespace orthonav::evaluate {
 
-ErrorRegression regress_errors(const FlightRecord& record, const RegistrationMetrics& registration);
+ErrorRegression regress_errors(const FlightRecord& record, const RegistrationMetrics& registration,
+                               const OdometryScale& odometry);
 
 }  // namespace orthonav::evaluate

@@ -3,6 +3,7 @@
 
 #include <cstdint>
 #include <limits>
+#include <numbers>
 #include <vector>
 
 #include "tools/evaluate/flight_record.h"
@@ -10,6 +11,7 @@
 namespace orthonav::evaluate {
 
 inline constexpr double kNan = std::numeric_limits<double>::quiet_NaN();
+inline constexpr double kDegPerRad = 180.0 / std::numbers::pi;
 
 inline double seconds_between(int64_t from, int64_t to) {
   return 1e-6 * static_cast<double>(to - from);

@@ -1,7 +1,6 @@
 #include "tools/evaluate/flight_record.h"
 
 #include <algorithm>
-#include <cctype>
 #include <cmath>
 #include <stdexcept>
 
@@ -9,6 +8,7 @@
 
 #include "common/bus/channels.h"
 #include "common/bus/keyframe_repeats.h"
+#include "common/bus/wording.h"
 #include "common/flightlog/flightlog.h"
 #include "orthonav/gnss_reference_t.hpp"
 #include "orthonav/image_t.hpp"
@@ -44,22 +44,10 @@ void take(const LogEvent& event, Collected& collected, Keep keep) {
   }
 }
 
-// Whether two messages are the same but for their numbers.
-bool same_words(const std::string& a, const std::string& b) {
-  const auto words = [](const std::string& text) {
-    std::string kept;
-    for (const char c : text) {
-      if (std::isdigit(static_cast<unsigned char>(c)) == 0 && c != '.' && c != '-') kept += c;
-    }
-    return kept;
-  };
-  return words(a) == words(b);
-}
-
 void remember_words(const health_t& health, std::vector<HealthWords>& said) {
   if (health.message.empty()) return;
   auto words = std::find_if(said.begin(), said.end(),
-                            [&](const HealthWords& w) { return same_words(w.message, health.message); });
+                            [&](const HealthWords& w) { return wording(w.message) == wording(health.message); });
   if (words == said.end()) words = said.insert(said.end(), {health.message, health.state, health.utime, 0});
   ++words->heartbeats;
   words->state = std::max(words->state, health.state);

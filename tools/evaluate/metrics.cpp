@@ -70,7 +70,7 @@ void add_drifts(const OdometrySession& session, const Reference& reference, std:
   }
 }
 
-VioMetrics evaluate_vio(const FlightRecord& record) {
+VioMetrics evaluate_vio(const FlightRecord& record, const OdometryScale& scale) {
   VioMetrics vio;
   std::map<int, std::vector<const vio_state_t*>> sessions;
   std::vector<double> times;
@@ -130,7 +130,6 @@ VioMetrics evaluate_vio(const FlightRecord& record) {
   if (!record.truth.empty()) vio.gnss = PositionErrors::of(gnss);
   if (record.truth.empty()) vio.truth = PositionErrors::of({});
   vio.yaw_only = PositionErrors::of(rigid);
-  const OdometryScale scale(record);
   vio.scale_at_start = scale.beginning_at(scale.begin());
   vio.scale_after_30s = scale.beginning_at(scale.begin() + 30'000'000);
   vio.scale_at_end = scale.ending_at(scale.end());
@@ -339,9 +338,10 @@ Metrics evaluate(const FlightRecord& record) {
   metrics.has_truth = !record.truth.empty();
   metrics.has_gnss = !record.gnss.empty();
   describe_flight(record, metrics);
-  metrics.vio = evaluate_vio(record);
+  const OdometryScale scale(record);
+  metrics.vio = evaluate_vio(record, scale);
   metrics.registration = evaluate_registration(record);
-  metrics.registration.regression = regress_errors(record, metrics.registration);
+  metrics.registration.regression = regress_errors(record, metrics.registration, scale);
   metrics.fusion = evaluate_fusion(record);
   metrics.transport = evaluate_transport(record);
   note_what_is_missing(record, metrics, metrics.notes);

@@ -27,8 +27,9 @@ std::optional<ScaleError> OdometryScale::ending_at(int64_t utime) const {
                                       [](int64_t time, const Pose& pose) { return time < pose.state->utime; });
   if (after == poses_.begin()) return std::nullopt;
   const Pose& last = *(after - 1);
-  for (auto pose = after; pose-- != poses_.begin() && pose->state->session == last.state->session;) {
+  for (auto pose = after - 1; pose->state->session == last.state->session; --pose) {
     if (const auto error = between(*pose, last)) return error;
+    if (pose == poses_.begin()) break;
   }
   return std::nullopt;
 }

@@ -2,21 +2,17 @@
 
 #include <algorithm>
 #include <cmath>
-#include <limits>
-#include <numbers>
 
 #include <fmt/format.h>
 
 #include "common/math/statistics.h"
 #include "tools/evaluate/chart.h"
+#include "tools/evaluate/figures.h"
 #include "tools/evaluate/report_json.h"
 #include "tools/evaluate/report_style.h"
 
 namespace orthonav::evaluate {
 namespace {
-
-constexpr double kDegPerRad = 180.0 / std::numbers::pi;
-constexpr double kNan = std::numeric_limits<double>::quiet_NaN();
 
 std::string tile(const std::string& value, const std::string& unit, const std::string& what, bool first = false) {
   return fmt::format("<div class='tile{}'><b>{} <small>{}</small></b><span>{}</span></div>", first ? " first" : "",
@@ -113,7 +109,7 @@ std::vector<ErrorSample> thinned(const std::vector<ErrorSample>& track) {
 }
 
 struct FixErrors {
-  std::vector<double> time, horizontal, vertical, heading;
+  std::vector<double> time, horizontal, vertical;
   std::vector<double> wrong_time, wrong_horizontal;
 };
 

@@ -1,16 +1,15 @@
 #include "tools/evaluate/report_json.h"
 
 #include <cmath>
-#include <numbers>
 
 #include <fmt/format.h>
+
+#include "tools/evaluate/figures.h"
 
 namespace orthonav::evaluate {
 namespace {
 
 using nlohmann::ordered_json;
-
-constexpr double kDegPerRad = 180.0 / std::numbers::pi;
 
 void put(ordered_json& into, const PositionErrors& errors) {
   into["rmse_m"] = errors.rmse;

@@ -28,24 +28,23 @@ void print(const Plan& plan) {
 int run(int argc, char** argv) {
   CLI::App app("What the sensitivity benchmark flies, and what came of it");
   std::filesystem::path file, results_folder, json_file;
-  std::string commit;
   PlanOptions options;
   app.add_option("--table", file, "rows and levels")->required()->check(CLI::ExistingFile);
   app.add_option("--configs", options.configs, "folder of the scenarios' configurations")->required();
   app.add_option("--folder", options.folder, "where configurations are written")->required();
-  app.add_option("--scenarios", options.scenarios)->required();
+  app.add_option("--scenarios", options.scenarios, "all of the table, if none");
   app.add_option("--seeds", options.seeds)->required();
-  app.add_option("--rows", options.rows, "all, if none");
+  app.add_option("--rows", options.rows, "by their names; all, if none");
   app.add_option("--results", results_folder,
                  "print the table of the runs whose report.json files are here, and fail when one "
                  "leaves a band");
   app.add_option("--json", json_file, "with --results: write the figures of every run here");
-  app.add_option("--commit", commit, "with --json: what was flown");
   CLI11_PARSE(app, argc, argv);
 
   const Table table = Table::load(file);
   const Plan plan = make_plan(table, options);
   if (results_folder.empty()) {
+    write_configs(plan);
     print(plan);
     return 0;
   }
@@ -53,10 +52,10 @@ int run(int argc, char** argv) {
   std::fputs(to_table(table, results).c_str(), stdout);
   if (!json_file.empty()) {
     std::ofstream out(json_file);
-    out << to_json(table, results, commit).dump(2) << '\n';
+    out << to_json(table, results).dump(2) << '\n';
     if (!out) throw std::runtime_error(fmt::format("{}: cannot write", json_file.string()));
   }
-  const std::vector<std::string> faults = outside_bands(table, results);
+  const std::vector<std::string> faults = outside_bands(table, plan, results);
   for (const std::string& fault : faults) fmt::print(stderr, "outside its band: {}\n", fault);
   return faults.empty() ? 0 : 1;
 }

@@ -20,19 +20,23 @@ void write_file(const fs::path& file, const std::string& text) {
   if (!out) throw std::runtime_error(fmt::format("{}: cannot write", file.string()));
 }
 
-// A folder with the scenario's files, each extended by what is laid over it.
-void write_config(const fs::path& scenario, const fs::path& folder, const std::map<std::string, YAML::Node>& overlays) {
-  fs::create_directories(folder);
-  for (const auto& entry : fs::directory_iterator(scenario)) {
+// Each file of the scenario, extended by what is laid over it.
+void write_config(const Config& config) {
+  for (const auto& [name, overlay] : config.overlays) {
+    const fs::path file = config.scenario / (name + ".yaml");
+    if (!fs::exists(file)) {
+      throw std::runtime_error(fmt::format("{}: no such file, and '{}' is to be laid over it", file.string(), name));
+    }
+  }
+  fs::create_directories(config.folder);
+  for (const auto& entry : fs::directory_iterator(config.scenario)) {
     if (entry.path().extension() != ".yaml") continue;
     std::string text = fmt::format("extends: {}\n", fs::absolute(entry.path()).lexically_normal().string());
-    const auto overlay = overlays.find(entry.path().stem().string());
-    if (overlay != overlays.end() && overlay->second.IsMap() && overlay->second.size() > 0) {
-      YAML::Node top = YAML::Clone(overlay->second);
-      top.SetStyle(YAML::EmitterStyle::Block);  // one map with `extends`
-      text += YAML::Dump(top) + "\n";
+    const auto overlay = config.overlays.find(entry.path().stem().string());
+    if (overlay != config.overlays.end() && overlay->second.IsMap() && overlay->second.size() > 0) {
+      text += YAML::Dump(overlay->second) + "\n";
     }
-    write_file(folder / entry.path().filename(), text);
+    write_file(config.folder / entry.path().filename(), text);
   }
 }
 
@@ -51,32 +55,47 @@ class Planner {
     if (level.seconds > 0) flight.seconds = level.seconds;
     const std::string slug = first_with(flown, flight.seconds, start, scenario);
     if (!slug.empty()) flight.name += "-" + slug;
-    flight.config = simulate(flight.name, scenario, flown, flight);
+    simulate(flight, scenario, flown);
 
     std::string map = flight.name;
     if (level.map && !level.map.IsNull()) {
-      Simulation other{.name = prefix + "-" + level.slug(), .config = {}, .seed = seed, .seconds = 0};
-      map = other.name;
-      simulate(other.name, scenario, merged(flown, level.map), other);
+      map = prefix + "-" + level.slug();
+      simulate({.name = map, .config = {}, .seed = seed, .seconds = 0}, scenario, merged(flown, level.map));
     }
 
-    Run run{.level = index,
-            .scenario = scenario,
-            .seed = seed,
-            .name = prefix + "-" + level.slug(),
-            .flight = flight.name,
-            .map = map,
-            .config = options_.folder / scenario / level.slug()};
-    std::map<std::string, YAML::Node> believed = level.believed;
-    believed["aircraft"] =
-        merged(aircraft_overlay(options_.configs / scenario, level.calibration), believed["aircraft"]);
-    write_config(options_.configs / scenario, run.config, believed);
+    const Run run{.level = index,
+                  .scenario = scenario,
+                  .seed = seed,
+                  .name = prefix + "-" + level.slug(),
+                  .flight = flight.name,
+                  .map = map,
+                  .config = options_.folder / scenario / level.slug()};
+    if (folders_.insert(run.config).second) {
+      plan_.configs.push_back({options_.configs / scenario, run.config, believed(level, scenario)});
+    }
     plan_.runs.push_back(run);
   }
 
   Plan finished() { return std::move(plan_); }
 
  private:
+  // What the navigator is told. Nodes are references: the table's are copied into a map of their own, not assigned to.
+  std::map<std::string, YAML::Node> believed(const Level& level, const std::string& scenario) const {
+    std::map<std::string, YAML::Node> files;
+    const YAML::Node wrong = aircraft_overlay(options_.configs / scenario, level.calibration);
+    const auto aircraft = level.believed.find("aircraft");
+    if (wrong.size() > 0 && aircraft != level.believed.end() &&
+        (aircraft->second["kalibr"] || aircraft->second["camera"] || aircraft->second["extrinsics"])) {
+      throw std::runtime_error(fmt::format(
+          "{} {}: 'calibration' falsifies the scenario's, and 'aircraft' replaces it: say one", level.row, level.name));
+    }
+    for (const auto& [file, overlay] : level.believed) {
+      files.emplace(file, merged(file == "aircraft" ? wrong : YAML::Node(), overlay));
+    }
+    if (wrong.size() > 0) files.emplace("aircraft", wrong);
+    return files;
+  }
+
   // Slug of the first level of the table that flies the same; empty when that is the nominal one.
   std::string first_with(const YAML::Node& flown, double seconds, const Start& start,
                          const std::string& scenario) const {
@@ -90,21 +109,20 @@ class Planner {
     return "";
   }
 
-  // Writes the flight's configuration, once, and remembers that it is to be made.
-  fs::path simulate(const std::string& name, const std::string& scenario, const YAML::Node& overlay,
-                    Simulation& simulation) {
-    simulation.config = options_.folder / "flights" / name;
-    if (names_.insert(name).second) {
-      write_config(options_.configs / scenario, simulation.config, {{"simulate", overlay}});
-      plan_.simulations.push_back(simulation);
-    }
-    return simulation.config;
+  // Remembers that a flight or a map is to be made, once.
+  void simulate(Simulation simulation, const std::string& scenario, const YAML::Node& overlay) {
+    simulation.config = options_.folder / "flights" / simulation.name;
+    if (!folders_.insert(simulation.config).second) return;
+    std::map<std::string, YAML::Node> overlays;
+    if (overlay.IsMap()) overlays.emplace("simulate", overlay);
+    plan_.configs.push_back({options_.configs / scenario, simulation.config, std::move(overlays)});
+    plan_.simulations.push_back(std::move(simulation));
   }
 
   const Table& table_;
   const PlanOptions& options_;
   Plan plan_;
-  std::set<std::string> names_;
+  std::set<fs::path> folders_;  // that have a configuration
 };
 
 }  // namespace
@@ -128,11 +146,15 @@ Plan make_plan(const Table& table, const PlanOptions& options) {
     const Level& level = table.levels[i];
     if (i > 0 && !options.rows.empty() && !asked(options.rows, level.row)) continue;
     for (const std::string& scenario : level.scenarios) {
-      if (!asked(options.scenarios, scenario)) continue;
+      if (!options.scenarios.empty() && !asked(options.scenarios, scenario)) continue;
       for (const uint64_t seed : options.seeds) planner.fly(i, scenario, seed);
     }
   }
   return planner.finished();
+}
+
+void write_configs(const Plan& plan) {
+  for (const Config& config : plan.configs) write_config(config);
 }
 
 }  // namespace orthonav::sensitivity

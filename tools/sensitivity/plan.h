@@ -6,8 +6,11 @@
 
 #include <cstdint>
 #include <filesystem>
+#include <map>
 #include <string>
 #include <vector>
+
+#include <yaml-cpp/yaml.h>
 
 #include "tools/sensitivity/rows.h"
 
@@ -15,8 +18,8 @@ namespace orthonav::sensitivity {
 
 struct PlanOptions {
   std::filesystem::path configs;       // config/ of the repository: a folder for each scenario
-  std::filesystem::path folder;        // where the folders of configuration are written
-  std::vector<std::string> scenarios;  // those of the levels' that are flown
+  std::filesystem::path folder;        // where the folders of configuration will be
+  std::vector<std::string> scenarios;  // those of the levels' that are flown; empty: all
   std::vector<uint64_t> seeds;
   std::vector<std::string> rows;  // names of rows; empty: all. The nominal one is always flown
 };
@@ -37,12 +40,24 @@ struct Run {
   std::filesystem::path config;  // what the navigator is told
 };
 
+// A folder with the files of a scenario, some of them with other values laid over.
+struct Config {
+  std::filesystem::path scenario, folder;
+  std::map<std::string, YAML::Node> overlays;  // by the files' names without ending
+};
+
 struct Plan {
   std::vector<Simulation> simulations;
   std::vector<Run> runs;
+  std::vector<Config> configs;  // of both
 };
 
-// Writes the folders of configuration. Throws std::runtime_error for a row or scenario that is not in the table.
+// Reads the scenarios' aircraft.yaml and writes nothing. Throws std::runtime_error for a row or scenario that is not in
+// the table, and for a level that is wrong about a calibration and replaces it as well.
 Plan make_plan(const Table& table, const PlanOptions& options);
+
+// Throws std::runtime_error for a file that cannot be written, and for a scenario without the file that something is to
+// be laid over.
+void write_configs(const Plan& plan);
 
 }  // namespace orthonav::sensitivity

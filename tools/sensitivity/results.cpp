@@ -11,7 +11,9 @@
 #include <fmt/format.h>
 #include <fmt/ranges.h>
 
+#include "common/bus/wording.h"
 #include "common/math/statistics.h"
+#include "tools/tabulate/report_figures.h"
 
 namespace orthonav::sensitivity {
 namespace {
@@ -24,20 +26,16 @@ constexpr double kRightUpTo = 2.0;      // times the nominal RMSE
 constexpr double kHonestNees = 6.0;     // of 3 freedoms
 constexpr size_t kLongestHealth = 110;  // characters of the table's last column
 
-double number(const json& report, const char* pointer) {
-  const json::json_pointer at(pointer);
-  return report.contains(at) && report[at].is_number() ? report[at].get<double>() : kNan;
+bool is_honest(const Figures& figures) {
+  return figures.nees <= kHonestNees && figures.beyond_horizontal + figures.beyond_vertical == 0;
 }
 
-Verdict judge(const Figures& figures, const Figures& nominal) {
+// The nominal run is no yardstick for itself: it is right when it is honest.
+Verdict judge(const Figures& figures, const Figures& nominal, bool is_nominal) {
   if (!(figures.epochs > 0)) return Verdict::kSilent;
+  if (is_nominal) return is_honest(figures) ? Verdict::kRight : Verdict::kWrong;
   if (figures.rmse <= kRightUpTo * nominal.rmse) return Verdict::kRight;
-  const bool honest = figures.nees <= kHonestNees && figures.beyond_horizontal + figures.beyond_vertical == 0;
-  return honest ? Verdict::kWide : Verdict::kWrong;
-}
-
-std::string cell(double value, int decimals) {
-  return std::isfinite(value) ? fmt::format("{:.{}f}", value, decimals) : "–";
+  return is_honest(figures) ? Verdict::kWide : Verdict::kWrong;
 }
 
 // Results of one level in one scenario.
@@ -50,18 +48,11 @@ std::vector<double> values(const Group& group, Get get) {
   return all;
 }
 
-// Median and worst; a run without the figure counts as the worst.
 template <class Get>
 std::string median_and_worst(const Group& group, int decimals, Get get) {
-  std::vector<double> all = values(group, get);
-  for (double& value : all) {
-    if (std::isnan(value)) value = std::numeric_limits<double>::infinity();
-  }
-  std::sort(all.begin(), all.end());
-  if (all.size() == 1) return cell(all.front(), decimals);
-  // Not by interpolation: there may be infinite ones.
-  const double middle = 0.5 * (all[(all.size() - 1) / 2] + all[all.size() / 2]);
-  return cell(middle, decimals) + " / " + cell(all.back(), decimals);
+  const Spread spread = Spread::of(values(group, get));
+  const std::string worst = cell(spread.worst, decimals);
+  return group.size() == 1 ? worst : cell(spread.middle, decimals) + " / " + worst;
 }
 
 template <class Get>
@@ -92,7 +83,7 @@ std::string words(const Group& group) {
   for (const Result* result : group) said.insert(result->health.begin(), result->health.end());
   std::string text = fmt::format("{}", fmt::join(said, "; "));
   std::replace(text.begin(), text.end(), '|', '/');
-  if (text.size() > kLongestHealth) text = text.substr(0, kLongestHealth) + "...";
+  if (text.size() > kLongestHealth) text.replace(kLongestHealth, std::string::npos, "...");
   return text;
 }
 
@@ -109,6 +100,29 @@ std::vector<Group> grouped(const Table& table, const std::vector<Result>& result
   return ordered;
 }
 
+std::string summary(const std::vector<Result>& results) {
+  int counts[4] = {}, lying = 0;
+  double bounded = 0, horizontal = 0, vertical = 0;
+  std::map<std::string, int> commits;
+  for (const Result& result : results) {
+    const Figures& f = result.figures;
+    ++counts[static_cast<int>(result.verdict)];
+    ++commits[result.flown_by.empty() ? "unknown" : result.flown_by];
+    if (!(f.epochs > 0)) continue;
+    bounded += f.bounded;
+    horizontal += f.beyond_horizontal;
+    vertical += f.beyond_vertical;
+    lying += f.beyond_horizontal + f.beyond_vertical > 0 ? 1 : 0;
+  }
+  std::string text = fmt::format("\n{} runs: {} right, {} wide, {} WRONG, {} silent\n", results.size(), counts[0],
+                                 counts[1], counts[2], counts[3]);
+  text += fmt::format(
+      "beyond their protection level: {:.0f} epochs horizontally, {:.0f} vertically, of {:.0f} bounded, in {} runs\n",
+      horizontal, vertical, bounded, lying);
+  for (const auto& [commit, runs] : commits) text += fmt::format("flown by {}: {} runs\n", commit, runs);
+  return text;
+}
+
 ordered_json run_json(const Table& table, const Result& result) {
   const Figures& f = result.figures;
   const Level& level = table.levels[result.run->level];
@@ -117,6 +131,7 @@ ordered_json run_json(const Table& table, const Result& result) {
           {"scenario", result.run->scenario},
           {"seed", result.run->seed},
           {"name", result.run->name},
+          {"commit", result.flown_by},
           {"verdict", name_of(result.verdict)},
           {"rmse_m", f.rmse},
           {"horizontal_m", f.horizontal},
@@ -158,25 +173,25 @@ const char* name_of(Verdict verdict) {
 
 Figures Figures::of(const json& report) {
   Figures f;
-  f.rmse = number(report, "/fusion/rmse_m");
-  f.horizontal = number(report, "/fusion/horizontal_rmse_m");
-  f.vertical = number(report, "/fusion/vertical_rmse_m");
-  f.nees = 3 * number(report, "/fusion/nees/position");
-  f.epochs = number(report, "/fusion/protection/epochs");
-  f.bounded = number(report, "/fusion/protection/bounded");
-  f.beyond_horizontal = number(report, "/fusion/protection/misleading_horizontal");
-  f.beyond_vertical = number(report, "/fusion/protection/misleading_vertical");
-  f.located_share = number(report, "/fusion/located_share");
-  f.bounded_share = number(report, "/fusion/protection/bounded_share");
-  f.fixes = number(report, "/registration/fixes");
-  f.false_fixes = number(report, "/registration/false_fixes");
-  f.first_position = number(report, "/fusion/time_to_first_fix_from_start_s");
-  f.scale_start = number(report, "/vio/scale_errors/start/error");
-  f.scale_30s = number(report, "/vio/scale_errors/after_30s/error");
-  f.scale_end = number(report, "/vio/scale_errors/end/error");
-  f.claim_start = number(report, "/vio/scale_errors/start/stddev");
-  f.claim_30s = number(report, "/vio/scale_errors/after_30s/stddev");
-  f.claim_end = number(report, "/vio/scale_errors/end/stddev");
+  f.rmse = figure_of(report, "/fusion/rmse_m");
+  f.horizontal = figure_of(report, "/fusion/horizontal_rmse_m");
+  f.vertical = figure_of(report, "/fusion/vertical_rmse_m");
+  f.nees = 3 * figure_of(report, "/fusion/nees/position");
+  f.epochs = figure_of(report, "/fusion/protection/epochs");
+  f.bounded = figure_of(report, "/fusion/protection/bounded");
+  f.beyond_horizontal = figure_of(report, "/fusion/protection/misleading_horizontal");
+  f.beyond_vertical = figure_of(report, "/fusion/protection/misleading_vertical");
+  f.located_share = figure_of(report, "/fusion/located_share");
+  f.bounded_share = figure_of(report, "/fusion/protection/bounded_share");
+  f.fixes = figure_of(report, "/registration/fixes");
+  f.false_fixes = figure_of(report, "/registration/false_fixes");
+  f.first_position = figure_of(report, "/fusion/time_to_first_fix_from_start_s");
+  f.scale_start = figure_of(report, "/vio/scale_errors/start/error");
+  f.scale_30s = figure_of(report, "/vio/scale_errors/after_30s/error");
+  f.scale_end = figure_of(report, "/vio/scale_errors/end/error");
+  f.claim_start = figure_of(report, "/vio/scale_errors/start/stddev");
+  f.claim_30s = figure_of(report, "/vio/scale_errors/after_30s/stddev");
+  f.claim_end = figure_of(report, "/vio/scale_errors/end/stddev");
   if (report.contains("health")) {
     for (const auto& [service, health] : report["health"].items()) {
       if (!health.contains("said")) continue;
@@ -196,7 +211,9 @@ std::vector<Result> read_results(const Plan& plan, const std::filesystem::path& 
   for (const Run& run : plan.runs) {
     const std::filesystem::path file = folder / (run.name + ".json");
     if (!std::filesystem::exists(file)) continue;
-    Result result{.run = &run, .figures = {}, .verdict = Verdict::kSilent, .health = {}};
+    Result result{.run = &run, .figures = {}, .verdict = Verdict::kSilent, .health = {}, .flown_by = {}};
+    std::ifstream flown_by(folder / (run.name + ".flown-by"));
+    flown_by >> result.flown_by;
     try {
       result.figures = Figures::of(json::parse(std::ifstream(file)));
     } catch (const json::exception& error) {
@@ -210,10 +227,13 @@ std::vector<Result> read_results(const Plan& plan, const std::filesystem::path& 
     if (compared == nominal.end()) {
       throw std::invalid_argument(fmt::format("{}: its nominal run is missing", result.run->name));
     }
-    result.verdict = judge(result.figures, compared->second);
+    const bool is_nominal = result.run->level == 0;
+    result.verdict = judge(result.figures, compared->second, is_nominal);
     const auto& usual = compared->second.health;
     for (const std::string& said : result.figures.health) {
-      const bool news = result.run->level == 0 || std::find(usual.begin(), usual.end(), said) == usual.end();
+      const bool news = is_nominal || std::none_of(usual.begin(), usual.end(), [&](const std::string& other) {
+                          return wording(other) == wording(said);
+                        });
       if (news) result.health.push_back(said);
     }
   }
@@ -248,27 +268,21 @@ std::string to_table(const Table& table, const std::vector<Result>& results) {
                         furthest(group, [](const Figures& f) { return f.scale_30s; }),
                         furthest(group, [](const Figures& f) { return f.scale_end; }), words(group));
   }
-  int counts[4] = {};
-  for (const Result& result : results) ++counts[static_cast<int>(result.verdict)];
-  text += fmt::format("\n{} runs: {} right, {} wide, {} WRONG, {} silent\n", results.size(), counts[0], counts[1],
-                      counts[2], counts[3]);
-  return text;
+  return text + summary(results);
 }
 
-ordered_json to_json(const Table& table, const std::vector<Result>& results, const std::string& commit) {
+ordered_json to_json(const Table& table, const std::vector<Result>& results) {
   ordered_json top;
-  top["commit"] = commit;
   top["runs"] = ordered_json::array();
   for (const Result& result : results) top["runs"].push_back(run_json(table, result));
   return top;
 }
 
-std::vector<std::string> outside_bands(const Table& table, const std::vector<Result>& results) {
+std::vector<std::string> outside_bands(const Table& table, const Plan& plan, const std::vector<Result>& results) {
   std::vector<std::string> faults;
-  for (size_t i = 0; i < table.levels.size(); ++i) {
-    const Level& level = table.levels[i];
-    const bool flown = std::any_of(results.begin(), results.end(), [&](const Result& r) { return r.run->level == i; });
-    if (!level.bands.empty() && !flown) faults.push_back(fmt::format("{} {}: was not flown", level.row, level.name));
+  for (const Run& run : plan.runs) {
+    const bool flown = std::any_of(results.begin(), results.end(), [&](const Result& r) { return r.run == &run; });
+    if (!table.levels[run.level].bands.empty() && !flown) faults.push_back(run.name + ": was not flown");
   }
   for (const Result& result : results) {
     const ordered_json json = run_json(table, result);

@@ -12,8 +12,8 @@
 namespace orthonav::sensitivity {
 
 // right: the fusion's RMSE is at most twice that of the nominal run of the same scenario and seed; wide: it is not, but
-// the NEES is at most 6 of 3 freedoms and no epoch lies beyond its protection level; wrong: neither; silent: no
-// position.
+// it is honest: the NEES is at most 6 of 3 freedoms and no epoch lies beyond its protection level; wrong: neither;
+// silent: no position. The nominal run itself is right when it is honest, else wrong.
 enum class Verdict { kRight, kWide, kWrong, kSilent };
 const char* name_of(Verdict verdict);
 
@@ -37,18 +37,20 @@ struct Result {
   const Run* run = nullptr;
   Figures figures;
   Verdict verdict = Verdict::kSilent;
-  std::vector<std::string> health;  // what the nominal run did not say
+  std::vector<std::string> health;  // what the nominal run did not say, numbers aside
+  std::string flown_by;             // commit of the programs; empty: unknown
 };
 
-// Reads FOLDER/NAME.json of every run that is there. Throws std::runtime_error naming a file that cannot be read, and
-// std::invalid_argument when a run's nominal one is missing.
+// Reads FOLDER/NAME.json of every run that is there, and its commit, the first word of NAME.flown-by. Throws
+// std::runtime_error naming a file that cannot be read, and std::invalid_argument when a run's nominal one is missing.
 std::vector<Result> read_results(const Plan& plan, const std::filesystem::path& folder);
 
-// One row a level and scenario: medians and worst over its seeds. Markdown.
+// One row a level and scenario: medians and worst over its seeds; below them verdicts, epochs beyond their level and
+// commits, counted. Markdown.
 std::string to_table(const Table& table, const std::vector<Result>& results);
-nlohmann::ordered_json to_json(const Table& table, const std::vector<Result>& results, const std::string& commit);
+nlohmann::ordered_json to_json(const Table& table, const std::vector<Result>& results);
 
-// What leaves the bands of its level, and levels with bands that were not flown: one text each.
-std::vector<std::string> outside_bands(const Table& table, const std::vector<Result>& results);
+// What leaves the bands of its level, and runs of the plan with bands that are missing: one text each.
+std::vector<std::string> outside_bands(const Table& table, const Plan& plan, const std::vector<Result>& results);
 
 }  // namespace orthonav::sensitivity

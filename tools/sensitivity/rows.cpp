@@ -5,38 +5,33 @@
 #include <stdexcept>
 
 #include <fmt/format.h>
+#include <fmt/ranges.h>
 
 namespace orthonav::sensitivity {
 namespace {
 
-const std::set<std::string> kBelieved = {"aircraft", "vio", "registration", "map_server", "fusion", "ingest"};
+const std::set<std::string> kBelieved = {"aircraft", "vio", "registration", "map_server", "fusion"};
 
 class Reader {
  public:
   explicit Reader(std::filesystem::path file) : file_(std::move(file)) {}
 
-  Table table() const {
+  Table table() {
     const YAML::Node top = YAML::LoadFile(file_.string());
-    Table table;
-    for (const auto& entry : top["scenarios"]) {
-      ScenarioStarts starts;
-      starts.in_air = start(entry.second["in_air"]);
-      starts.on_ground = start(entry.second["on_ground"]);
-      table.scenarios[entry.first.as<std::string>()] = starts;
+    only(top, {"scenarios", "rows"}, "the table");
+    for (const auto& entry : required(top, "scenarios")) {
+      only(entry.second, {"in_air", "on_ground"}, "a scenario");
+      const auto name = entry.first.as<std::string>();
+      if (default_scenario_.empty()) default_scenario_ = name;
+      const ScenarioStarts starts{start(required(entry.second, "in_air")), start(required(entry.second, "on_ground"))};
+      table_.scenarios.emplace(name, starts);
     }
-    std::set<std::string> slugs;
-    for (const YAML::Node& row : top["rows"]) {
-      for (const YAML::Node& node : row["levels"]) {
-        const Level level = this->level(row, node);
-        for (const std::string& scenario : level.scenarios) {
-          if (table.scenarios.count(scenario) == 0) fail(row, "there is no scenario '" + scenario + "' in the table");
-        }
-        if (!slugs.insert(level.slug()).second) fail(node, "the level is there twice: " + level.slug());
-        table.levels.push_back(level);
-      }
+    for (const YAML::Node& row : required(top, "rows")) {
+      only(row, {"row", "scenarios", "levels"}, "a row");
+      for (const YAML::Node& node : required(row, "levels")) add_level(row, node);
     }
-    if (table.levels.empty() || table.levels.front().row != "nominal") fail(top, "the first row must be 'nominal'");
-    return table;
+    if (table_.levels.empty() || table_.levels.front().row != "nominal") fail(top, "the first row must be 'nominal'");
+    return std::move(table_);
   }
 
  private:
@@ -44,79 +39,98 @@ class Reader {
     throw std::runtime_error(fmt::format("{}:{}: {}", file_.string(), node.Mark().line + 1, what));
   }
 
-  Start start(const YAML::Node& node) const {
-    Start start;
-    for (const auto& entry : node) {
+  // A misspelt key must not pass silently.
+  void only(const YAML::Node& map, const std::set<std::string>& known, const std::string& of) const {
+    if (!map.IsMap()) fail(map, of + " must be a map of keys to values");
+    for (const auto& entry : map) {
       const auto key = entry.first.as<std::string>();
-      if (key == "seconds") {
-        start.seconds = entry.second.as<double>();
-      } else if (key == "simulate") {
-        start.simulate = entry.second;
-      } else {
-        fail(entry.first, "unknown key '" + key + "'");
-      }
+      if (known.count(key) > 0) continue;
+      fail(entry.first, fmt::format("unknown key '{}'; {} has: {}", key, of, fmt::join(known, ", ")));
     }
+  }
+
+  YAML::Node required(const YAML::Node& map, const std::string& key) const {
+    const YAML::Node value = map[key];
+    if (!value.IsDefined() || value.IsNull()) fail(map, "key '" + key + "' is missing");
+    return value;
+  }
+
+  // What is laid over a file of configuration. Merge keys are YAML 1.1's, which yaml-cpp takes for keys like others.
+  YAML::Node overlay(const YAML::Node& node) const {
+    if (node.IsNull()) return node;
+    if (!node.IsMap()) fail(node, "must be a map of keys to values");
+    refuse_merge_keys(node);
+    return merged({}, node);
+  }
+  void refuse_merge_keys(const YAML::Node& node) const {
+    if (!node.IsMap()) return;
+    for (const auto& entry : node) {
+      if (entry.first.as<std::string>() == "<<") fail(entry.first, "key '<<' is not understood: write its keys out");
+      refuse_merge_keys(entry.second);
+    }
+  }
+
+  Start start(const YAML::Node& node) const {
+    only(node, {"seconds", "simulate"}, "a start");
+    Start start;
+    if (node["seconds"]) start.seconds = node["seconds"].as<double>();
+    if (node["simulate"]) start.simulate = overlay(node["simulate"]);
     return start;
   }
 
-  Level level(const YAML::Node& row, const YAML::Node& node) const {
-    Level level;
-    level.row = row["row"].as<std::string>();
-    level.scenarios = {"rural"};
+  void add_level(const YAML::Node& row, const YAML::Node& node) {
+    Level level = this->level(node);
+    level.row = required(row, "row").as<std::string>();
+    level.scenarios = {default_scenario_};
     if (row["scenarios"]) level.scenarios = row["scenarios"].as<std::vector<std::string>>();
-    for (const auto& entry : node) {
-      const auto key = entry.first.as<std::string>();
-      if (key == "level") {
-        level.name = entry.second.as<std::string>();
-      } else if (key == "seconds") {
-        level.seconds = entry.second.as<double>();
-      } else if (key == "simulate") {
-        level.simulate = entry.second;
-      } else if (key == "map") {
-        level.map = entry.second;
-      } else if (key == "calibration") {
-        level.calibration = calibration(entry.second);
-      } else if (key == "bands") {
-        for (const auto& band : entry.second) {
-          level.bands[band.first.as<std::string>()] = {band.second[0].as<double>(), band.second[1].as<double>()};
-        }
-      } else if (kBelieved.count(key) > 0) {
-        level.believed[key] = entry.second;
-      } else {
-        fail(entry.first, "unknown key '" + key + "'");
-      }
+    for (const std::string& scenario : level.scenarios) {
+      if (table_.scenarios.count(scenario) == 0) fail(row, "there is no scenario '" + scenario + "' in the table");
+    }
+    if (!slugs_.insert(level.slug()).second) fail(node, "the level is there twice: " + level.slug());
+    table_.levels.push_back(std::move(level));
+  }
+
+  Level level(const YAML::Node& node) const {
+    std::set<std::string> known = kBelieved;
+    known.insert({"level", "seconds", "simulate", "map", "calibration", "bands"});
+    only(node, known, "a level");
+    Level level;
+    level.name = required(node, "level").as<std::string>();
+    if (node["seconds"]) level.seconds = node["seconds"].as<double>();
+    if (node["simulate"]) level.simulate = overlay(node["simulate"]);
+    if (node["map"]) level.map = overlay(node["map"]);
+    if (node["calibration"]) level.calibration = calibration(node["calibration"]);
+    for (const auto& band : node["bands"]) {
+      level.bands[band.first.as<std::string>()] = {band.second[0].as<double>(), band.second[1].as<double>()};
+    }
+    for (const std::string& file : kBelieved) {
+      if (node[file]) level.believed.emplace(file, overlay(node[file]));
     }
     return level;
   }
 
   Miscalibration calibration(const YAML::Node& node) const {
+    only(node, {"focal", "principal", "distortion", "roll_deg", "pitch_deg", "yaw_deg"}, "a calibration");
     Miscalibration wrong;
-    for (const auto& entry : node) {
-      const auto key = entry.first.as<std::string>();
-      if (key == "principal") {
-        wrong.principal_u = entry.second[0].as<double>();
-        wrong.principal_v = entry.second[1].as<double>();
-        continue;
-      }
-      const auto value = entry.second.as<double>();
-      if (key == "focal") {
-        wrong.focal = value;
-      } else if (key == "distortion") {
-        wrong.distortion = value;
-      } else if (key == "roll_deg") {
-        wrong.roll_deg = value;
-      } else if (key == "pitch_deg") {
-        wrong.pitch_deg = value;
-      } else if (key == "yaw_deg") {
-        wrong.yaw_deg = value;
-      } else {
-        fail(entry.first, "unknown key '" + key + "'");
-      }
+    const auto read = [&](const char* key, double& value) {
+      if (node[key]) value = node[key].as<double>();
+    };
+    read("focal", wrong.focal);
+    read("distortion", wrong.distortion);
+    read("roll_deg", wrong.roll_deg);
+    read("pitch_deg", wrong.pitch_deg);
+    read("yaw_deg", wrong.yaw_deg);
+    if (node["principal"]) {
+      wrong.principal_u = node["principal"][0].as<double>();
+      wrong.principal_v = node["principal"][1].as<double>();
     }
     return wrong;
   }
 
   std::filesystem::path file_;
+  Table table_;
+  std::string default_scenario_;
+  std::set<std::string> slugs_;
 };
 
 }  // namespace
@@ -151,12 +165,21 @@ Table Table::load(const std::filesystem::path& file) {
 }
 
 YAML::Node merged(const YAML::Node& under, const YAML::Node& over) {
-  if (!over || over.IsNull()) return under ? YAML::Clone(under) : YAML::Node();
-  if (!under || !under.IsMap() || !over.IsMap()) return YAML::Clone(over);
-  YAML::Node result = YAML::Clone(under);
+  const bool nothing_over = !over || over.IsNull();
+  if (nothing_over && (!under || !under.IsMap())) return under ? YAML::Clone(under) : YAML::Node();
+  if (!nothing_over && !over.IsMap()) return YAML::Clone(over);
+  // Built anew key by key: assigning to a key of a clone would change what an alias within it stands for, too.
+  YAML::Node result(YAML::NodeType::Map);
+  if (under && under.IsMap()) {
+    for (const auto& entry : under) {
+      const auto key = entry.first.as<std::string>();
+      result[key] = merged(entry.second, nothing_over ? YAML::Node() : over[key]);
+    }
+  }
+  if (nothing_over) return result;
   for (const auto& entry : over) {
     const auto key = entry.first.as<std::string>();
-    result[key] = merged(under[key], entry.second);
+    if (!result[key]) result[key] = merged({}, entry.second);
   }
   return result;
 }

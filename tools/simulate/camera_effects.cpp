@@ -70,7 +70,7 @@ cv::Mat dense_flow(const cv::Mat& nodes, cv::Size size) {
 CameraEffectOptions CameraEffectOptions::from_config(ConfigNode& node) {
   CameraEffectOptions options;
   node.read("exposure_ms", options.exposure_ms, 0.0, 100.0);
-  node.read("readout_ms", options.readout_ms, -100.0, 100.0);
+  node.read("readout_ms", options.readout_ms, 0.0, 100.0);
   node.read("mean_level", options.mean_level, 1.0, 255.0);
   node.read("gain_stddev", options.gain_stddev, 0.0, 1.0);
   node.read("gain_time_s", options.gain_time_s, 0.1, 1e4);

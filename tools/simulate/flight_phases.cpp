@@ -2,26 +2,28 @@
 
 #include <algorithm>
 #include <cmath>
-#include <numbers>
+#include <limits>
 #include <stdexcept>
 
 #include <Eigen/Geometry>
 #include <fmt/format.h>
 
+#include "common/math/angles.h"
 #include "common/math/so3.h"
+#include "tools/simulate/lanes.h"
 #include "tools/simulate/random_stream.h"
 
 namespace orthonav::simulate {
 namespace {
 
-constexpr double kDegree = std::numbers::pi / 180.0;
 constexpr double kPastTheEnd = 10.0;      // s of motion beyond the flight, for the spline's last control points
-constexpr double kSettle = 2.0;           // s between a take-off's climb and the first phase
-constexpr double kSlowest = 1.0;          // m/s: slower aircraft turn as if they flew so fast
+constexpr double kSlowest = 1.0;          // m/s: slower aircraft turn as tightly as at this speed, and no tighter
 constexpr double kCourseHold = 1.0;       // 1/s, rate of turn per error of the course
 constexpr double kRollInAndOut = 1.25;    // times a circle's width is what a half-turn from lane to lane takes
 constexpr double kToLandingPlace = 1.0;   // m/s
+constexpr double kStraightUp = 5;         // m above the ground, below which it only rises or comes down
 constexpr double kLeastLaneSpacing = 20;  // m
+constexpr double kNever = -std::numeric_limits<double>::infinity();
 
 double turn_radius(const Phase& phase, double speed, double gravity) {
   return speed * speed / (gravity * std::tan(phase.bank_deg * kDegree));
@@ -36,35 +38,28 @@ struct Waypoint {
 // far apart as a half-turn is wide, and no more than the flight fills.
 std::vector<Waypoint> lay_circuit(const FlightOptions& options, const FlightArea& area, double gravity, uint64_t seed) {
   RandomStream stream(seed, "flight.circuit");
-  const Eigen::Vector2d margin = Eigen::Vector2d::Constant(options.border_margin_m);
-  const Eigen::Vector2d low = Eigen::Vector2d(area.east_min, area.north_min) + margin;
-  const Eigen::Vector2d high = Eigen::Vector2d(area.east_max, area.north_max) - margin;
-  const Eigen::Vector2d size = high - low;
+  Lanes lanes(area, options.border_margin_m);
+  const double room = (lanes.high - lanes.low).minCoeff();
   double width = kLeastLaneSpacing, length = 0;
   for (const Phase& phase : options.phases) {
     const double fastest = phase.circle ? phase.speed : phase.speed * (1 + options.leg_speed_spread);
     width = std::max(width, (phase.circle ? 1.0 : kRollInAndOut) * 2 * turn_radius(phase, fastest, gravity));
     length += phase.seconds * phase.speed;
-    if (width > size.minCoeff()) {
+    if (width > room) {
       throw std::invalid_argument(fmt::format(
           "flight.phases.{}: a turn is {:.0f} m wide, and border_margin_m leaves {:.0f} m of the map: bank more, fly "
           "slower or enlarge the world",
-          phase.name, width, size.minCoeff()));
+          phase.name, width, room));
     }
   }
-  const int along = size.x() > size.y() ? 0 : 1, across = 1 - along;
-  const int fitting = static_cast<int>(size[across] / width) + 1;
-  const int wanted = static_cast<int>(std::ceil((length - size[across]) / size[along]));
-  const int lanes = std::max(2, 2 * (std::min(fitting, wanted) / 2));
-  const double spacing = size[across] / (lanes - 1);
-  const bool flip_along = stream.uniform(0, 1) < 0.5, flip_across = stream.uniform(0, 1) < 0.5;
+  const int fitting = static_cast<int>(lanes.length(lanes.across()) / width) + 1;
+  const int wanted = static_cast<int>(std::ceil(lanes.filled_by(length)));
+  lanes.count = std::max(2, 2 * (std::min(fitting, wanted) / 2));
+  lanes.draw_start(stream);
   std::vector<Waypoint> circuit;
-  for (int corner = 0; corner < 2 * lanes; ++corner) {
-    const int lane = corner / 2;
-    const bool far = (corner % 4 == 1) || (corner % 4 == 2);
+  for (int corner = 0; corner < 2 * lanes.count; ++corner) {
     Waypoint waypoint;
-    waypoint.p[along] = far != flip_along ? high[along] : low[along];
-    waypoint.p[across] = flip_across ? high[across] - lane * spacing : low[across] + lane * spacing;
+    waypoint.p = lanes.end(corner / 2, corner % 4 == 1 || corner % 4 == 2);
     waypoint.speed = 1.0 + options.leg_speed_spread * stream.uniform(-1, 1);
     circuit.push_back(waypoint);
   }
@@ -87,14 +82,15 @@ class Pilot {
     course_ = yaw_ = course_to(circuit_[1].p);
   }
 
-  const Eigen::Vector2d& p() const { return p_; }
   void start_on_ground() {
     p_ = landing_place(area_, p_);
     z_ = ground();
+    course_ = yaw_ = course_to(circuit_[1].p);  // it rises without a turn
+    standing_ = true;
   }
   void start_in_flight(const Phase& phase) {
     z_ = area_.ground_height + phase.height_m;
-    speed_ = phase.speed * (phase.circle ? 1.0 : circuit_[next_].speed);
+    speed_ = wanted_speed(phase);
   }
   double ground() const { return area_.surface(p_) + ground_offset_; }
   Eigen::Vector4d state() const { return {p_.x(), p_.y(), z_, yaw_}; }
@@ -102,23 +98,39 @@ class Pilot {
   void begin(const Phase& phase) {
     const Eigen::Vector2d in = centre_ - p_;
     side_ = std::cos(course_) * in.y() - std::sin(course_) * in.x() > 0 ? 1.0 : -1.0;
-    landing_ = phase.height_m > 0 ? p_ : landing_place(area_, p_);
+    if (lands(phase)) {
+      if (!standing_) landing_ = landing_place(area_, p_);
+    } else if (standing_) {
+      standing_ = false;
+      clear_ = z_ + kStraightUp;
+    }
   }
 
   void step(const Phase& phase, double dt) {
-    const double wanted = phase.speed * (phase.circle ? 1.0 : circuit_[next_].speed);
-    speed_ += std::clamp(wanted - speed_, -options_.acceleration * dt, options_.acceleration * dt);
-    const double most = gravity_ * std::tan(phase.bank_deg * kDegree) / std::max(speed_, kSlowest);
-    const double rate = phase.circle ? side_ * most : std::clamp(to_waypoint(phase), -most, most);
+    if (standing_) return;
+    const double climb = phase.climb_speed * dt;
+    if (z_ < clear_ && !lands(phase)) {
+      z_ += climb;
+      return;
+    }
+    clear_ = kNever;
+    speed_ += std::clamp(wanted_speed(phase) - speed_, -options_.acceleration * dt, options_.acceleration * dt);
+    const double rate = rate_of_turn(phase);
     course_ += rate * dt;
     p_ += speed_ * dt * Eigen::Vector2d(std::cos(course_), std::sin(course_));
     double height = area_.ground_height + phase.height_m;
-    if (phase.height_m <= 0) {
+    if (lands(phase)) {
       const Eigen::Vector2d rest = landing_ - p_;
       p_ += rest * std::min(1.0, kToLandingPlace * dt / std::max(rest.norm(), 1e-9));
-      height = ground();
+      const bool over_it = speed_ == 0 && p_.isApprox(landing_);
+      height = ground() + (over_it ? 0.0 : kStraightUp);
+      if (over_it && z_ < ground() + kStraightUp) {
+        z_ = std::max(height, z_ - climb);
+        standing_ = z_ == height;
+        return;
+      }
     }
-    z_ += std::clamp(height - z_, -phase.climb_speed * dt, phase.climb_speed * dt);
+    z_ += std::clamp(height - z_, -climb, climb);
     if (phase.spin_deg != 0) {
       yaw_ += phase.spin_deg * kDegree * dt;
     } else {
@@ -128,6 +140,20 @@ class Pilot {
   }
 
  private:
+  static bool lands(const Phase& phase) { return phase.height_m <= 0; }
+  double wanted_speed(const Phase& phase) const {
+    if (lands(phase)) return 0;  // it comes down on a place
+    return phase.speed * (phase.circle ? 1.0 : circuit_[next_].speed);
+  }
+
+  // rad/s. Of a circle, that of its radius at the speed which there is: an aircraft that hovers has no course to turn.
+  double rate_of_turn(const Phase& phase) {
+    const double most =
+        gravity_ * std::tan(phase.bank_deg * kDegree) * std::min(speed_ / (kSlowest * kSlowest), 1 / speed_);
+    if (!phase.circle) return std::clamp(to_waypoint(phase), -most, most);
+    return side_ * std::min(most, speed_ / turn_radius(phase, std::max(phase.speed, kSlowest), gravity_));
+  }
+
   double course_to(const Eigen::Vector2d& place) const { return std::atan2(place.y() - p_.y(), place.x() - p_.x()); }
 
   // Rate of turn towards the next waypoint, or the one after when it is time to turn.
@@ -151,18 +177,18 @@ class Pilot {
   size_t next_ = 1;
   Eigen::Vector2d p_, landing_ = Eigen::Vector2d::Zero();
   double z_ = 0, speed_ = 0, course_ = 0, yaw_ = 0, side_ = 1;
+  bool standing_ = false;  // on the ground, where nothing moves
+  double clear_ = kNever;  // m in G, up to where it rises straight
 };
 
 }  // namespace
 
-Eigen::Vector4d NominalMotion::at(double t) const {
-  const double x = t / kStep;
-  const auto i = static_cast<size_t>(std::clamp(std::floor(x), 0.0, static_cast<double>(samples_.size()) - 2.0));
-  return samples_[i] + (x - static_cast<double>(i)) * (samples_[i + 1] - samples_[i]);
-}
-
 OrderedFlight fly_phases(const FlightOptions& options, const FlightArea& area, double gravity, double ground_offset,
                          uint64_t seed) {
+  if (options.phases.front().height_m <= 0) {
+    throw std::invalid_argument(
+        fmt::format("flight.phases.{}: the first is flown, not stood", options.phases.front().name));
+  }
   Pilot pilot(options, area, gravity, ground_offset, lay_circuit(options, area, gravity, seed));
   std::vector<Phase> phases = options.phases;
   if (options.take_off) {
@@ -177,17 +203,18 @@ OrderedFlight fly_phases(const FlightOptions& options, const FlightArea& area, d
   } else {
     pilot.start_in_flight(phases.front());
   }
+  constexpr double kStep = SampledMotion<Eigen::Vector4d>::kStep;
   std::vector<Eigen::Vector4d> samples;
   double end = 0, t = 0;
   for (size_t i = 0; i < phases.size(); ++i) {
     end += phases[i].seconds;
     pilot.begin(phases[i]);
-    for (; t < end + (i + 1 == phases.size() ? kPastTheEnd : 0.0); t += NominalMotion::kStep) {
+    for (; t < end + (i + 1 == phases.size() ? kPastTheEnd : 0.0); t += kStep) {
       samples.push_back(pilot.state());
-      pilot.step(phases[i], NominalMotion::kStep);
+      pilot.step(phases[i], kStep);
     }
   }
-  return {NominalMotion(std::move(samples)), end};
+  return {SampledMotion<Eigen::Vector4d>(std::move(samples)), end};
 }
 
 }  // namespace orthonav::simulate

@@ -6,30 +6,19 @@
 #pragma once
 
 #include <cstdint>
-#include <string>
-#include <vector>
 
 #include <Eigen/Core>
 
 #include "tools/simulate/flight_plan.h"
+#include "tools/simulate/sampled_motion.h"
 
 namespace orthonav::simulate {
 
-// East, north, up (m in G) and heading of the nose (rad, counter-clockwise from east, without jumps) over time.
-class NominalMotion {
- public:
-  static constexpr double kStep = 0.02;  // s between samples
-
-  explicit NominalMotion(std::vector<Eigen::Vector4d> samples) : samples_(std::move(samples)) {}
-  // Before the first and after the last sample the motion goes on as there.
-  Eigen::Vector4d at(double t) const;
-
- private:
-  std::vector<Eigen::Vector4d> samples_;
-};
+inline constexpr double kSettle = 2.0;  // s between a take-off's climb and what follows
 
 struct OrderedFlight {
-  NominalMotion motion;
+  // East, north, up (m in G) and heading of the nose (rad, counter-clockwise from east, without jumps).
+  SampledMotion<Eigen::Vector4d> motion;
   double duration = 0;  // s
 };
 

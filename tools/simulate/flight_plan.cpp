@@ -8,22 +8,24 @@
 #include <vector>
 
 #include "common/config/config.h"
+#include "common/math/angles.h"
 #include "common/math/so3.h"
 #include "tools/simulate/flight_phases.h"
+#include "tools/simulate/lanes.h"
 #include "tools/simulate/random_stream.h"
+#include "tools/simulate/sampled_motion.h"
 
 namespace orthonav::simulate {
 namespace {
 
-constexpr double kDegree = std::numbers::pi / 180.0;
 constexpr double kPathStep = 0.75;          // s between control points of the position
 constexpr double kYawStep = 1.0;            // s
 constexpr double kWindStep = 0.5;           // s
 constexpr double kJitterStep = 0.12;        // s
 constexpr double kWaypointSpacing = 120.0;  // m, longest stretch of a lane without a waypoint
-constexpr double kSample = 0.02;            // s, of the nominal motion along the path
-constexpr double kBodyAboveGround = 0.15;   // m, of an aircraft on its legs
-constexpr double kFullGusts = 5.0;          // m above the ground, from where a flight by phases has them
+constexpr double kSample = SampledMotion<double>::kStep;
+constexpr double kBodyAboveGround = 0.15;  // m, of an aircraft on its legs
+constexpr double kFullGusts = 5.0;         // m above the ground, from where a flight by phases has them
 // Standard deviation of a degree 7 spline whose control points are independent with unit variance.
 constexpr double kWhiteSplineStddev = 0.5875;
 
@@ -45,31 +47,21 @@ Eigen::Vector2d clamp_to(const Eigen::Vector2d& p, const Eigen::Vector2d& low, c
 // Lanes over the rectangle, long enough for a path of `length`, in the order they are flown.
 std::vector<Leg> lay_lanes(const FlightOptions& options, const FlightArea& area, double length, uint64_t seed) {
   RandomStream stream(seed, "flight.lanes");
-  const Eigen::Vector2d margin = Eigen::Vector2d::Constant(options.border_margin_m);
-  const Eigen::Vector2d low = Eigen::Vector2d(area.east_min, area.north_min) + margin;
-  const Eigen::Vector2d high = Eigen::Vector2d(area.east_max, area.north_max) - margin;
-  const Eigen::Vector2d size = high - low;
-  if (size.minCoeff() < 20.0) throw std::invalid_argument("flight: border_margin_m leaves no room over the map");
-
-  // Lanes run along the longer side; on a square, along either.
-  const bool square = std::abs(size.x() - size.y()) < 0.15 * size.maxCoeff();
-  const int along = square ? (stream.uniform(0, 1) < 0.5 ? 0 : 1) : (size.x() > size.y() ? 0 : 1);
-  const int across = 1 - along;
-  const int lanes = std::max(2, static_cast<int>(std::ceil((options.length_m - size[across]) / size[along])));
-  const double spacing = size[across] / (lanes - 1);
-  const bool flip_along = stream.uniform(0, 1) < 0.5, flip_across = stream.uniform(0, 1) < 0.5;
+  Lanes lanes(area, options.border_margin_m);
+  if ((lanes.high - lanes.low).minCoeff() < 20.0) {
+    throw std::invalid_argument("flight: border_margin_m leaves no room over the map");
+  }
+  // On a square, along either side.
+  const double longer = lanes.length(lanes.along);
+  if (longer - lanes.length(lanes.across()) < 0.15 * longer) lanes.along = stream.uniform(0, 1) < 0.5 ? 0 : 1;
+  lanes.count = std::max(2, static_cast<int>(std::ceil(lanes.filled_by(options.length_m))));
+  lanes.draw_start(stream);
 
   // Corners of the lanes, there and, for what length is left, back again.
   std::vector<Eigen::Vector2d> corners;
-  const auto add_corner = [&](int lane, bool far) {
-    Eigen::Vector2d corner;
-    corner[along] = (far != flip_along) ? high[along] : low[along];
-    corner[across] = flip_across ? high[across] - lane * spacing : low[across] + lane * spacing;
-    corners.push_back(corner);
-  };
-  for (int lane = 0; lane < lanes; ++lane) {
-    add_corner(lane, lane % 2 == 1);
-    add_corner(lane, lane % 2 == 0);
+  for (int lane = 0; lane < lanes.count; ++lane) {
+    corners.push_back(lanes.end(lane, lane % 2 == 1));
+    corners.push_back(lanes.end(lane, lane % 2 == 0));
   }
   const std::vector<Eigen::Vector2d> there = corners;
   for (auto corner = there.rbegin() + 1; corner != there.rend(); ++corner) corners.push_back(*corner);
@@ -91,7 +83,8 @@ std::vector<Leg> lay_lanes(const FlightOptions& options, const FlightArea& area,
       const Eigen::Vector2d jitter(stream.uniform(-1, 1), stream.uniform(-1, 1));
       Leg leg;
       leg.from = here;
-      leg.to = clamp_to(begin + (end - begin) * piece / pieces + options.waypoint_jitter_m * jitter, low, high);
+      leg.to =
+          clamp_to(begin + (end - begin) * piece / pieces + options.waypoint_jitter_m * jitter, lanes.low, lanes.high);
       leg.length = (leg.to - leg.from).norm();
       leg.speed = 1.0 + options.leg_speed_spread * stream.uniform(-1, 1);
       leg.yaw = yaw;
@@ -146,7 +139,7 @@ std::vector<double> fly_legs(const FlightOptions& options, const std::vector<Leg
 }
 
 // Distance flown as a function of time, with the legs' speed such that `length` is flown in the duration.
-std::vector<double> nominal_motion(const FlightOptions& options, const std::vector<Leg>& legs, double length) {
+SampledMotion<double> nominal_motion(const FlightOptions& options, const std::vector<Leg>& legs, double length) {
   const double seconds = options.duration_s + 10.0;
   double low = 0.05, high = 60.0;
   std::vector<double> distance;
@@ -159,14 +152,7 @@ std::vector<double> nominal_motion(const FlightOptions& options, const std::vect
   if (high - low > 1e-3 || low > 59.0) {
     throw std::invalid_argument("flight: length_m cannot be flown in duration_s with these speeds in turns");
   }
-  return distance;
-}
-
-double at_time(const std::vector<double>& samples, double t) {
-  if (t <= 0) return samples[0] + (samples[1] - samples[0]) / kSample * t;
-  const double x = std::min(t / kSample, static_cast<double>(samples.size()) - 1.001);
-  const auto i = static_cast<size_t>(x);
-  return samples[i] + (x - static_cast<double>(i)) * (samples[i + 1] - samples[i]);
+  return SampledMotion<double>(std::move(distance));
 }
 
 // Everything that does not depend on the calibration, drawn once.
@@ -266,7 +252,7 @@ Trajectory plan_survey(const FlightOptions& options, const FlightArea& area, dou
     for (size_t i = 1; i < legs.size(); ++i) legs[i].start = legs[i - 1].start + legs[i - 1].length;
     ground = area.surface(start_en) + kBodyAboveGround;
     climb_begin = options.standstill_s;
-    survey_begin = climb_begin + (survey_height - ground) / options.climb_speed + 2.0;
+    survey_begin = climb_begin + (survey_height - ground) / options.climb_speed + kSettle;
   }
   const auto airborne = [&](double t) {
     return options.take_off ? std::clamp((t - climb_begin - 0.5) / 2.0, 0.0, 1.0) : 1.0;
@@ -276,10 +262,10 @@ Trajectory plan_survey(const FlightOptions& options, const FlightArea& area, dou
   // Gusts lengthen the path and corners shorten it: correct the nominal length until the flown one is right. The
   // part before the survey does not count.
   double nominal = options.length_m;
-  std::vector<double> motion = nominal_motion(options, legs, nominal);
+  SampledMotion<double> motion = nominal_motion(options, legs, nominal);
   const auto nominal_position = [&](double t) {
     const Eigen::Vector2d en =
-        options.take_off && t < survey_begin ? start_en : point_at(legs, at_time(motion, t - survey_begin));
+        options.take_off && t < survey_begin ? start_en : point_at(legs, motion.at(t - survey_begin));
     double up = survey_height;
     if (options.take_off) up = std::min(up, ground + options.climb_speed * std::max(0.0, t - climb_begin));
     return Eigen::Vector3d(en.x(), en.y(), up);
@@ -303,7 +289,7 @@ Trajectory plan_survey(const FlightOptions& options, const FlightArea& area, dou
   double heading = legs.front().yaw;
   const UniformSpline<1> nose = planner.yaw([&](double t) {
     const double most = options.yaw_rate_deg * kDegree * kYawStep;
-    const double wanted = legs[leg_at(legs, at_time(motion, t - survey_begin))].yaw;
+    const double wanted = legs[leg_at(legs, motion.at(t - survey_begin))].yaw;
     return heading += std::clamp(wrap_angle(wanted - heading), -most, most);
   });
   const double wanted_tilt = options.mean_tilt_deg * kDegree;

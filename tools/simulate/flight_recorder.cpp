@@ -86,7 +86,7 @@ Exposure expose_at(const Trajectory& trajectory, const Extrinsics& extrinsics, d
     return {state.p_G_B + state.R_G_B * extrinsics.p_B_C, state.R_G_B * extrinsics.R_B_C};
   };
   Exposure poses;
-  const int rows = readout != 0 ? height : 1;
+  const int rows = readout > 0 ? height : 1;
   for (int row = 0; row < rows; ++row) {
     const double middle = rows > 1 ? t + readout * (row / (rows - 1.0) - 0.5) : t;
     poses.begin.push_back(pose(middle - 0.5 * exposure));

@@ -1,8 +1,7 @@
 #include "tools/simulate/scenario.h"
 
-#include <numbers>
-
 #include "common/camera/aircraft.h"
+#include "common/math/angles.h"
 
 namespace orthonav::simulate {
 
@@ -36,7 +35,7 @@ Scenario Scenario::load(const std::filesystem::path& folder) {
   imu_node.finish();
   double declination_deg = 0;
   aircraft.read("magnetic_declination_deg", declination_deg, -180.0, 180.0);
-  scenario.magnetic_declination = declination_deg * std::numbers::pi / 180.0;
+  scenario.magnetic_declination = declination_deg * kDegree;
   aircraft.finish();
   return scenario;
 }

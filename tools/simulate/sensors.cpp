@@ -8,13 +8,13 @@
 #include <stdexcept>
 
 #include "common/config/config.h"
+#include "common/math/angles.h"
 #include "common/math/so3.h"
 #include "tools/simulate/random_stream.h"
 
 namespace orthonav::simulate {
 namespace {
 
-constexpr double kDegree = std::numbers::pi / 180.0;
 constexpr double kCepPerSigma = 1.17741;  // of a circular normal distribution: sqrt(2 ln 2)
 
 // Stamps of a sensor: whole periods from the start, a fraction of a period late. Microseconds exactly.
@@ -150,7 +150,7 @@ std::vector<FrameTime> simulate_frame_times(double seconds, const SensorOptions:
     frame.utime = start_utime + utime + std::llround(1e3 * late_ms);
     if (lost.uniform(0, 1) < o.dropped) continue;
     if (!frames.empty() && frame.utime <= frames.back().utime) {
-      throw std::invalid_argument("sensors.camera: time_jitter_ms puts frames out of order");
+      throw std::invalid_argument("sensors.camera: time_jitter_ms or time_drift_ms_min puts frames out of order");
     }
     frames.push_back(frame);
   }
@@ -160,6 +160,37 @@ std::vector<FrameTime> simulate_frame_times(double seconds, const SensorOptions:
 double body_heading(const MotionState& state, const SensorSurroundings& around) {
   const Eigen::Quaterniond q_ENU_B(around.frame.R_local_G(state.p_G_B) * state.R_G_B);
   return heading_of(q_ENU_B);
+}
+
+void simulate_compass(const Trajectory& trajectory, double seconds, const SensorOptions::Compass& o, double bias,
+                      const SensorSurroundings& around, uint64_t seed, std::vector<compass_t>& out) {
+  if (!o.enabled) return;
+  RandomStream noise(seed, "compass.noise");
+  for (const int64_t utime : stamps(o.rate_hz, 0.25, seconds)) {
+    const MotionState state = trajectory.at(static_cast<double>(utime) * 1e-6);
+    const double magnetic = body_heading(state, around) - around.magnetic_declination;
+    compass_t message;
+    message.utime = around.start_utime + utime;
+    message.heading = true_heading(magnetic + bias + o.noise_deg * kDegree * noise.gaussian(), 0.0);
+    message.heading_stddev = std::hypot(o.bias_deg, o.noise_deg) * kDegree;
+    out.push_back(message);
+  }
+}
+
+void simulate_altitude(const Trajectory& trajectory, double seconds, const SensorOptions::Altitude& o,
+                       const SensorSurroundings& around, uint64_t seed, std::vector<altitude_t>& out) {
+  if (!o.enabled) return;
+  RandomStream bias_stream(seed, "altitude.bias"), noise(seed, "altitude.noise");
+  const double bias = o.bias_m * bias_stream.gaussian();
+  for (const int64_t utime : stamps(o.rate_hz, 0.75, seconds)) {
+    const MotionState state = trajectory.at(static_cast<double>(utime) * 1e-6);
+    altitude_t message;
+    message.utime = around.start_utime + utime;
+    message.height_above_ground =
+        state.p_G_B.z() - around.surface(state.p_G_B.head<2>()) + bias + o.noise_m * noise.gaussian();
+    message.stddev = std::hypot(o.bias_m, o.noise_m);
+    out.push_back(message);
+  }
 }
 
 void simulate_gnss(const Trajectory& trajectory, double seconds, const SensorOptions::Gnss& o,
@@ -275,34 +306,11 @@ SensorRecord simulate_sensors(const Trajectory& trajectory, double seconds, doub
       simulate_imu(trajectory, seconds, imu_rate_hz, options.imu, around.start_utime, seed, record.imu);
   record.frames = simulate_frame_times(seconds, options.camera, around.start_utime, seed);
 
-  RandomStream compass_bias_stream(seed, "compass.bias"), compass_noise(seed, "compass.noise");
+  RandomStream compass_stream(seed, "compass.bias");
   const double compass_bias =
-      options.compass.bias_deg * kDegree * compass_bias_stream.gaussian() + options.compass.offset_deg * kDegree;
-  for (const int64_t utime : stamps(options.compass.rate_hz, 0.25, seconds)) {
-    if (!options.compass.enabled) break;
-    const MotionState state = trajectory.at(static_cast<double>(utime) * 1e-6);
-    const double magnetic = body_heading(state, around) - around.magnetic_declination;
-    const double noise = options.compass.noise_deg * kDegree * compass_noise.gaussian();
-    compass_t message;
-    message.utime = around.start_utime + utime;
-    message.heading = true_heading(magnetic + compass_bias + noise, 0.0);
-    message.heading_stddev = std::hypot(options.compass.bias_deg, options.compass.noise_deg) * kDegree;
-    record.compass.push_back(message);
-  }
-
-  if (options.altitude.enabled) {
-    RandomStream bias_stream(seed, "altitude.bias"), noise(seed, "altitude.noise");
-    const double bias = options.altitude.bias_m * bias_stream.gaussian();
-    for (const int64_t utime : stamps(options.altitude.rate_hz, 0.75, seconds)) {
-      const MotionState state = trajectory.at(static_cast<double>(utime) * 1e-6);
-      altitude_t message;
-      message.utime = around.start_utime + utime;
-      message.height_above_ground =
-          state.p_G_B.z() - around.surface(state.p_G_B.head<2>()) + bias + options.altitude.noise_m * noise.gaussian();
-      message.stddev = std::hypot(options.altitude.bias_m, options.altitude.noise_m);
-      record.altitude.push_back(message);
-    }
-  }
+      options.compass.bias_deg * kDegree * compass_stream.gaussian() + options.compass.offset_deg * kDegree;
+  simulate_compass(trajectory, seconds, options.compass, compass_bias, around, seed, record.compass);
+  simulate_altitude(trajectory, seconds, options.altitude, around, seed, record.altitude);
   simulate_gnss(trajectory, seconds, options.gnss, around, seed, record.gnss);
 
   std::vector<int64_t> truth_times = stamps(options.truth_rate_hz, 0.0, seconds);

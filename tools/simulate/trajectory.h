@@ -42,7 +42,6 @@ class Trajectory {
   explicit Trajectory(Parts parts) : parts_(std::move(parts)) {}
 
   double duration() const { return parts_.duration; }
-  double gravity() const { return parts_.gravity; }
 
   // The state at t, from slightly before 0 to slightly after the duration. Throws std::out_of_range far outside.
   MotionState at(double t) const;

@@ -11,6 +11,7 @@
 #include <opencv2/imgproc.hpp>
 
 #include "common/geo/raster.h"
+#include "common/math/angles.h"
 #include "tools/simulate/world_random.h"
 
 namespace orthonav::simulate {
@@ -95,7 +96,7 @@ cv::Mat source_pixels(const MapGrid& map, const MapSensor& sensor, const EnuFram
   // Projection, offset and direction of view are smooth: exact on a coarse grid, interpolated in between.
   constexpr int kStep = 16;
   const cv::Size nodes(map.size().width / kStep + 2, map.size().height / kStep + 2);
-  const double lean = std::tan(sensor.lean_deg * std::numbers::pi / 180.0);
+  const double lean = std::tan(sensor.lean_deg * kDegree);
   const SmoothField view(mix(seed, "view"), lean, std::max(1.0, sensor.lean_wavelength));
   Random random(mix(seed, "lean"));
   const double azimuth = random.uniform(0, 2 * std::numbers::pi);

@@ -1,9 +1,7 @@
 // Puts report.json files of orthonav-evaluate into one Markdown table, with their medians.
-#include <cmath>
 #include <cstdio>
 #include <filesystem>
 #include <fstream>
-#include <limits>
 #include <string>
 #include <vector>
 
@@ -11,7 +9,7 @@
 #include <fmt/format.h>
 #include <nlohmann/json.hpp>
 
-#include "common/math/statistics.h"
+#include "tools/tabulate/report_figures.h"
 
 namespace {
 
@@ -36,16 +34,6 @@ constexpr Column kColumns[] = {
     {"first fix (s)", "/fusion/time_to_first_fix_s", 1},
 };
 
-double value_of(const nlohmann::json& report, const Column& column) {
-  const nlohmann::json::json_pointer pointer(column.pointer);
-  if (!report.contains(pointer) || !report[pointer].is_number()) return std::numeric_limits<double>::quiet_NaN();
-  return column.factor * report[pointer].get<double>();
-}
-
-std::string cell(double value, int decimals) {
-  return std::isnan(value) ? "–" : fmt::format("{:.{}f}", value, decimals);
-}
-
 }  // namespace
 
 int main(int argc, char** argv) {
@@ -66,10 +54,9 @@ int main(int argc, char** argv) {
       const auto report = nlohmann::json::parse(std::ifstream(file));
       fmt::print("| {} |", file.stem().string());
       for (size_t i = 0; i < std::size(kColumns); ++i) {
-        const double value = value_of(report, kColumns[i]);
-        // A flight without the figure counts as the worst, not as absent.
-        values[i].push_back(std::isnan(value) ? std::numeric_limits<double>::infinity() : value);
-        fmt::print(" {} |", cell(value, kColumns[i].decimals));
+        const double value = kColumns[i].factor * orthonav::figure_of(report, kColumns[i].pointer);
+        values[i].push_back(value);
+        fmt::print(" {} |", orthonav::cell(value, kColumns[i].decimals));
       }
       fmt::print("\n");
     } catch (const nlohmann::json::exception& error) {
@@ -79,9 +66,7 @@ int main(int argc, char** argv) {
   }
   fmt::print("| **median** |");
   for (size_t i = 0; i < std::size(kColumns); ++i) {
-    const double middle = orthonav::median(values[i]);
-    fmt::print(" {} |",
-               cell(std::isfinite(middle) ? middle : std::numeric_limits<double>::quiet_NaN(), kColumns[i].decimals));
+    fmt::print(" {} |", orthonav::cell(orthonav::Spread::of(values[i]).middle, kColumns[i].decimals));
   }
   fmt::print("\n");
   return 0;
