@@ -7,7 +7,6 @@
 
 #include "common/math/so3.h"
 #include "services/fusion/error_budget.h"
-#include "services/fusion/plausible.h"
 
 namespace orthonav::fusion {
 namespace {
@@ -30,7 +29,8 @@ double disagreement(const Sighting& a, const Sighting& b, const FusionOptions& o
   const Eigen::Vector3d moved = turn(yaw, b.keyframe.p_W_B - a.keyframe.p_W_B);
   const Eigen::Vector3d sideways = Eigen::Vector3d::UnitZ().cross(moved);
   // What neighbours share drops out of the difference, the less the further they are apart.
-  const auto forgotten = [&](double distance) { return 2.0 * -std::expm1(-moved.norm() / distance); };
+  const double way = moved.head<2>().norm();
+  const auto forgotten = [&](double distance) { return 2.0 * -std::expm1(-way / distance); };
   Eigen::Vector3d shared = shared_stddev(options.fix).cwiseAbs2();
   shared.head<2>() *= forgotten(options.fix.shared_distance);
   shared.z() *= forgotten(options.fix.shared_vertical_distance);
@@ -71,7 +71,7 @@ std::optional<Consensus> find_consensus(const std::vector<Sighting>& sightings, 
 
   const Eigen::Vector3d from = sightings[best.members.front()].keyframe.p_W_B;
   for (const size_t member : best.members) {
-    best.span = std::max(best.span, (sightings[member].keyframe.p_W_B - from).norm());
+    best.span = std::max(best.span, (sightings[member].keyframe.p_W_B - from).head<2>().norm());
   }
   std::vector<size_t> others;
   for (size_t i = 0; i < sightings.size(); ++i) {

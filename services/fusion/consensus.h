@@ -38,7 +38,9 @@ double disagreement(const Sighting& a, const Sighting& b, const FusionOptions& o
 struct Consensus {
   std::vector<size_t> members;  // indices, growing; the newest sighting is among them
   size_t rivals = 0;            // size of the largest set that agrees among the others
-  double span = 0.0;            // m, the longest of the odometry's ways between the first member and another
+  // m over ground, the longest of the odometry's ways between the first member and another. A climb is no evidence: a
+  // fix's height is the odometry's over whatever ground it was found above, and agrees anywhere.
+  double span = 0.0;
 };
 
 // The largest set of at least `needed` sightings that all agree with the last one and with one of them; nullopt when

@@ -149,7 +149,7 @@ Quadratic linearise(const ScaleMeasurement& measurement, const NodeState& node, 
 
 Quadratic linearise(const Prior& prior, const NodeState& node) {
   Quadratic cost = prior.cost;
-  cost.b += prior.cost.H * (node.x - prior.point.x);
+  cost.b += prior.cost.H * (node.x - prior.point);
   return cost;
 }
 

@@ -57,7 +57,7 @@ struct ScaleMeasurement {
 
 // A Gaussian about a node: what is left of the nodes before it, or a first guess. 1/2 d^T H d + b^T d in d = x - point.
 struct Prior {
-  NodeState point;
+  StateVector point = StateVector::Zero();
   Quadratic cost;
 };
 

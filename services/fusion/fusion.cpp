@@ -184,6 +184,8 @@ void Fusion::go_on(int session, int64_t utime, const Eigen::Vector3d& p_W_B) {
   fixed_.emplace(keyframe.id, keyframe.utime);  // a fix of it may be in there already
   graph_ = std::make_unique<PoseGraph>(options_);
   graph_->start(keyframe, memory.estimate);
+  // Where the newest tilt in there was seen is not known any more: here, at the latest.
+  tilted_from_ = keyframe.p_W_B;
   update_newest();
 }
 

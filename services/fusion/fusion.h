@@ -136,7 +136,7 @@ class Fusion {
   int believed_ = 0;                                          // fixes since the lock
   int confirming_ = 0;                                        // those of them that this very fusion has seen
   Eigen::Vector3d confirmed_from_ = Eigen::Vector3d::Zero();  // p_W_B of the first of them
-  double confirmed_span_ = 0.0;                               // m from there to the furthest other
+  double confirmed_span_ = 0.0;                               // m over ground from there to the furthest other
   std::optional<Eigen::Vector3d> tilted_from_;                // p_W_B of the newest whose tilt is in the graph
   int num_fixes_ = 0;
   int64_t newest_fix_utime_ = 0;

@@ -111,14 +111,24 @@ void Fusion::judge(Solution& solution, bool odometry, bool blind) {
 
 Solution Fusion::located(const OdometryState& state, Solution solution) {
   const Keyframe& keyframe = graph_->newest();
+  const Eigen::Quaterniond q_W_B = state.q_W_B.normalized();
+  // From the newest keyframe to this state, as an edge of its own.
+  Keyframe here;
+  here.utime = std::max(state.utime, keyframe.utime + 1);
+  here.p_W_B = state.p_W_B;
+  here.q_W_B = q_W_B;
+  here.height_above_ground = keyframe.height_above_ground;
+  if (is_accel_bias(state.accel_bias)) here.accel_bias = state.accel_bias;
+  const Transition transition = transition_between(options_, keyframe, here, newest_.state.q_G_W());
   NodeState node = newest_.state;
-  node.heading = yaw_of(state.q_W_B);  // the lean turns with the body
+  node.heading = yaw_of(q_W_B);  // the lean turns with the body
+  node.x.segment<2>(kLean) += transition.lean_change;
   const double scale = std::exp(node.log_scale());
   const Eigen::Quaterniond q_G_W = node.q_G_W();
   const Eigen::Vector3d moved = scale * (q_G_W * (state.p_W_B - keyframe.p_W_B));
   solution.p_G_B = node.p() + moved;
   solution.v_G_B = scale * (q_G_W * state.v_W_B);
-  solution.q_G_B = (q_G_W * state.q_W_B).normalized();
+  solution.q_G_B = (q_G_W * q_W_B).normalized();
 
   const Eigen::Matrix3d J_rotation = rotation_jacobian(node);
   Eigen::Matrix<double, 9, kStates> J = Eigen::Matrix<double, 9, kStates>::Zero();  // position, velocity, rotation
@@ -136,17 +146,12 @@ Solution Fusion::located(const OdometryState& state, Solution solution) {
   inertial.v_G_B = solution.v_G_B;
   inertial.q_G_B = solution.q_G_B;
   inertial.covariance = J * newest_.covariance * J.transpose();
-  // From the newest keyframe to this state, as an edge of its own.
-  Keyframe here;
-  here.utime = std::max(state.utime, keyframe.utime + 1);
-  here.p_W_B = state.p_W_B;
-  here.height_above_ground = keyframe.height_above_ground;
-  const Transition transition = transition_between(options_, keyframe, here, q_G_W);
   const Eigen::Matrix3d root = transition.position_root.inverse();
   inertial.covariance.topLeftCorner<3, 3>() += root * root.transpose();
   const double velocity_stddev = options_.edge.velocity_stddev * working_height(options_.edge, keyframe);
   inertial.covariance.diagonal().segment<3>(3).array() += velocity_stddev * velocity_stddev;
-  inertial.covariance(8, 8) += transition.stddev(kYaw) * transition.stddev(kYaw);
+  inertial.covariance.diagonal().tail<3>() +=
+      Eigen::Vector3d(transition.stddev(kLean), transition.stddev(kLean + 1), transition.stddev(kYaw)).cwiseAbs2();
 
   solution.covariance << inertial.covariance.topLeftCorner<3, 3>(), inertial.covariance.topRightCorner<3, 3>(),
       inertial.covariance.bottomLeftCorner<3, 3>(), inertial.covariance.bottomRightCorner<3, 3>();
@@ -164,7 +169,11 @@ Solution Fusion::located(const OdometryState& state, Solution solution) {
 
   odometry_utime_ = state.utime;
   if (solution.v_G_B.allFinite() && state.gyro_bias.allFinite() && state.accel_bias.allFinite()) {
-    inertial_.rebase(inertial, state.gyro_bias, state.accel_bias);
+    // An odometry that leans has taken so much of gravity for the accelerometer's bias: whoever is put upright gives it
+    // back, or would fall sideways by gravity times the lean.
+    const Eigen::Vector3d up = Eigen::Vector3d::UnitZ();
+    const Eigen::Vector3d of_gravity = q_W_B.conjugate() * up - solution.q_G_B.conjugate() * up;
+    inertial_.rebase(inertial, state.gyro_bias, state.accel_bias + options_.inertial.gravity * of_gravity);
   } else {
     inertial_.invalidate();
   }

@@ -1,5 +1,6 @@
 #include "services/fusion/memory.h"
 
+#include "common/math/so3.h"
 #include "common/memory/memory_file.h"
 
 namespace orthonav::fusion {
@@ -50,6 +51,7 @@ std::optional<Memory> read_memory(const std::filesystem::path& file) {
   }
   for (double& value : memory.estimate.state.x) value = take();
   for (double& value : memory.estimate.covariance.reshaped()) value = take();
+  memory.estimate.state.heading = yaw_of(keyframe.q_W_B);
   return memory;
 }
 

@@ -37,7 +37,7 @@ Transition transition_between(const FusionOptions& options, const Keyframe& from
   const double duration = std::max(1e-3, seconds_between(from.utime, to.utime));
   Transition transition;
   transition.dp_W = to.p_W_B - from.p_W_B;
-  const double distance = transition.dp_W.norm();
+  const double way = transition.dp_W.head<2>().norm();  // over ground: who climbs sees the same map all the while
   const double walk = edge.position_walk * working_height(edge, to);
   Eigen::Matrix3d covariance = walk * walk * duration * Eigen::Matrix3d::Identity();
   double yaw_variance = edge.yaw_walk * edge.yaw_walk * duration;
@@ -72,7 +72,7 @@ Transition transition_between(const FusionOptions& options, const Keyframe& from
   const Eigen::Vector3d shared = shared_stddev(options.fix);
   for (int axis = 0; axis < 3; ++axis) {
     forget(kShared + axis, shared(axis),
-           distance / (axis < 2 ? options.fix.shared_distance : options.fix.shared_vertical_distance));
+           way / (axis < 2 ? options.fix.shared_distance : options.fix.shared_vertical_distance));
   }
   return transition;
 }
@@ -90,7 +90,7 @@ void PoseGraph::start(const Keyframe& keyframe, const Estimate& known) {
   node.state = known.state;
   node.state.heading = yaw_of(keyframe.q_W_B);
   node.prior.emplace();
-  node.prior->point = known.state;
+  node.prior->point = known.state.x;
   node.prior->cost.H = inverse(known.covariance);
   relinearise_from(0);
 }
@@ -189,9 +189,8 @@ std::optional<Estimate> PoseGraph::without_fixes_after(int64_t utime) const {
     before = eliminate_first(before, tie(k)).left;
     before += own_without_fixes(nodes_[k]);
   }
-  Estimate result;
-  result.covariance = inverse(before.H);
-  result.state.x = nodes_.back().state.x - result.covariance * before.b;
+  Estimate result{nodes_.back().state, inverse(before.H)};
+  result.state.x -= result.covariance * before.b;
   return result;
 }
 
@@ -228,7 +227,7 @@ void PoseGraph::relinearise_from(size_t index) {
 void PoseGraph::marginalise_beyond_window() {
   while (options_.window_keyframes > 0 && size() > options_.window_keyframes) {
     Node& heir = nodes_[1];
-    heir.prior = Prior{heir.state, chain_.forward(1)};
+    heir.prior = Prior{heir.state.x, chain_.forward(1)};
     heir.tie.reset();
     nodes_.pop_front();
     chain_.drop_oldest();

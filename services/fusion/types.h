@@ -48,9 +48,10 @@ struct Keyframe {
 // How a fix depends on the vertical that it was found under: what it would be under the odometry's own, and what the
 // perspective of the map's points says of that. All in G; tilts are rotation vectors about east and north, rad.
 struct Upright {
-  Eigen::Vector3d p_G_B = Eigen::Vector3d::Zero();                          // m, less the fix's position
-  Eigen::Matrix3d covariance = Eigen::Matrix3d::Zero();                     // m^2, of the matches alone
-  Eigen::Matrix<double, 3, 2> lever = Eigen::Matrix<double, 3, 2>::Zero();  // m/rad: a true tilt moves p_G_B so far
+  Eigen::Vector3d p_G_B = Eigen::Vector3d::Zero();       // m, less the fix's position
+  Eigen::Matrix3d covariance = Eigen::Matrix3d::Zero();  // m^2, of the matches alone
+  Eigen::Matrix<double, 3, 2> lever =
+      Eigen::Matrix<double, 3, 2>::Zero();         // m/rad: p_G_B is off by this times the true tilt
   Eigen::Vector2d tilt = Eigen::Vector2d::Zero();  // R_G_B = Exp(tilt) R_odometry, by the matches alone
   Eigen::Matrix2d tilt_covariance = Eigen::Matrix2d::Zero();
 };

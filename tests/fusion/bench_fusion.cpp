@@ -84,10 +84,13 @@ int main(int argc, char** argv) {
   model.scale_time = options.edge.scale_time;
   model.scale_walk = 0.0;
   model.lean_stddev = options.edge.lean_stddev;
+  const double walk = options.inertial.accel_walk / options.inertial.gravity / options.edge.lean_stddev;
+  model.lean_time = 2.0 / (walk * walk);
   model.compass_noise = options.compass.noise_stddev;
   model.fix_shared_stddev = options.fix.shared_horizontal_stddev;
   model.fix_shared_vertical_stddev = options.fix.shared_vertical_stddev;
   model.fix_shared_distance = options.fix.shared_distance;
+  model.fix_shared_vertical_distance = options.fix.shared_vertical_distance;
   const std::vector<std::pair<std::string, SyntheticOptions>> kinds{
       {"model", model},    {"rural", rural}, {"zone", zone}, {"runs", runs}, {"wrong start", wrong_start},
       {"rare fixes", rare}};

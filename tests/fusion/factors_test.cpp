@@ -197,13 +197,14 @@ TEST(FusionFactors, AnUprightAxisHasNoHeading) {
 
 TEST(FusionFactors, PriorKeepsItsMinimumWhereverItIsLinearised) {
   Prior prior;
-  prior.point = some_node(1.0);
+  const NodeState node = some_node(1.0);
+  prior.point = node.x;
   StateMatrix a;
   for (int k = 0; k < a.size(); ++k) a.data()[k] = std::sin(3.1 * k);
   prior.cost.H = a * a.transpose() + StateMatrix::Identity();
   const StateVector wanted = StateVector::LinSpaced(-1.0, 1.0);
   prior.cost.b = -prior.cost.H * wanted;
-  NodeState minimum = prior.point;
+  NodeState minimum = node;
   minimum.x += wanted;
   EXPECT_LT(linearise(prior, minimum).b.norm(), 1e-9);
 }

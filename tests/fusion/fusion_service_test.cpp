@@ -126,6 +126,47 @@ TEST_F(FusionOnABus, AnswersEveryOdometryStateAndFindsItsPlace) {
   EXPECT_EQ(node_->health().counter("states.received"), static_cast<double>(flight_.states.size()));
 }
 
+TEST_F(FusionOnABus, TakesAFixApartAsItsMessageSays) {
+  // All fixes are put halfway upright, and say what they were, how they move and what they see of the lean: what
+  // is written here by its place in the message, row by row.
+  SyntheticOptions options{.duration = 40.0, .height = 285.0, .single_wrong_rate = 0.0};
+  options.lean = Eigen::Vector2d(0.03, -0.01);
+  options.perspective_stddev = 0.002;
+  options.fix_stddev = options.fix_vertical_stddev = 1.0;
+  flight_ = make_flight(options, 1);
+  const EnuFrame frame(flight_.anchor);
+  for (const SyntheticFlight::Step& step : flight_.steps) {
+    if (step.kind == SyntheticFlight::Step::Kind::kState) send(flight_.states[step.index]);
+    if (step.kind == SyntheticFlight::Step::Kind::kKeyframe) send(flight_.keyframes[step.index]);
+    if (step.kind != SyntheticFlight::Step::Kind::kFix) continue;
+    const Fix& fix = flight_.fixes[step.index];
+    const Eigen::Vector3d upright = frame.to_enu(fix.position);
+    const double height = upright.z();
+    const Eigen::Vector2d tilt = fix.upright->tilt;
+    const Eigen::Vector3d halfway = upright - 0.5 * Eigen::Vector3d(-height * tilt.y(), height * tilt.x(), 0.0);
+    const Geodetic position = frame.to_geodetic(halfway);
+    map_fix_t message = message_of(fix);
+    message.latitude_deg = position.latitude_deg;
+    message.longitude_deg = position.longitude_deg;
+    message.ellipsoidal_height = position.height;
+    put(halfway, message.p_G_B);
+    put(upright, message.upright_p_G_B);
+    for (int k = 0; k < 3; ++k) message.upright_covariance[4 * k] = 1.0;
+    message.upright_lever[1] = -height;  // east by a turn about north
+    message.upright_lever[2] = height;   // north by a turn about east
+    message.tilt[0] = tilt.x();
+    message.tilt[1] = tilt.y();
+    message.tilt_covariance[0] = message.tilt_covariance[3] = 4e-6;
+    publish(channel::kMapFix, message);
+  }
+  const nav_state_t& last = heard_.states.back();
+  const Eigen::Vector3d p = frame.to_enu({last.latitude_deg, last.longitude_deg, last.ellipsoidal_height});
+  EXPECT_LT((p - flight_.truth.back()).head<2>().norm(), 2.5) << "9 m off where nobody is put upright";
+  const Eigen::Quaterniond q(last.q_G_B[0], last.q_G_B[1], last.q_G_B[2], last.q_G_B[3]);
+  const Eigen::Vector3d up = q * (flight_.truth_q.back().conjugate() * Eigen::Vector3d::UnitZ());
+  EXPECT_LT(up.head<2>().norm(), 0.004) << "1.8 degrees of lean";
+}
+
 TEST_F(FusionOnABus, CountsWhatItRefusesAndGoesOn) {
   const size_t half = flight_.steps.size() / 2;
   fly(0, half);

@@ -182,6 +182,60 @@ TEST(Fusion, RepeatsBitForBit) {
   }
 }
 
+// A flight along `way` (m in G, of each keyframe), with a fix of each.
+class ByHand : public ::testing::Test {
+ protected:
+  void fly(const Eigen::Vector3d& way, int keyframes) {
+    for (int k = 0; k < keyframes; ++k, ++id_) {
+      p_ += way;
+      Keyframe keyframe;
+      keyframe.id = id_;
+      keyframe.session = 1;
+      keyframe.utime = 1'700'000'000'000'000 + 500'000 * id_;
+      keyframe.p_W_B = p_;
+      keyframe.height_above_ground = p_.z();
+      ASSERT_EQ(fusion_.add_keyframe(keyframe), Outcome::kUsed);
+      Fix fix;
+      fix.utime = keyframe.utime;
+      fix.session = 1;
+      fix.keyframe_id = id_;
+      fix.anchor = {47.5, 8.7, 420.0};
+      fix.position = EnuFrame(fix.anchor).to_geodetic(p_ + Eigen::Vector3d(300.0, -200.0, 0.0));
+      fix.covariance = Eigen::Matrix3d::Identity();
+      fix.heading = M_PI_2;
+      fix.heading_stddev = 0.05;
+      fusion_.add_fix(fix);
+      OdometryState state;
+      state.utime = keyframe.utime + 100'000;
+      state.session = 1;
+      state.has_pose = true;
+      state.p_W_B = p_;
+      solution_ = fusion_.propagate(state).solution;
+    }
+  }
+  Fusion fusion_{defaults()};
+  Eigen::Vector3d p_{0.0, 0.0, 20.0};
+  int id_ = 0;
+  Solution solution_;
+};
+
+TEST_F(ByHand, AClimbOverOnePlaceIsNoEvidenceOfIt) {
+  fly({0.0, 0.0, 1.5}, 60);
+  EXPECT_FALSE(fusion_.locked()) << "any place agrees about a climb";
+  fly({1.5, 0.0, 0.0}, 10);
+  EXPECT_TRUE(fusion_.locked());
+}
+
+TEST_F(ByHand, AClimbConfirmsNoLock) {
+  fly({1.5, 0.0, 0.0}, 12);
+  ASSERT_TRUE(fusion_.locked());
+  fly({0.0, 0.0, 1.5}, 70);
+  EXPECT_TRUE(std::isnan(solution_.horizontal_protection_level));
+  EXPECT_GT(std::sqrt(solution_.covariance(0, 0)), 0.45) << "all see the same map: 0.5 m are shared";
+  fly({0.0, 1.5, 0.0}, 40);
+  EXPECT_TRUE(std::isfinite(solution_.horizontal_protection_level));
+}
+
 class BadInput : public ::testing::Test {
  protected:
   void SetUp() override {

@@ -96,6 +96,35 @@ TEST_F(KilledFusion, KnowsAllThatTheOtherOneKnew) {
   }
 }
 
+TEST_F(KilledFusion, CountsTheTiltOfTheGroundThatItKnewOnlyOnce) {
+  flight_ = make_flight({.duration = 60.0, .single_wrong_rate = 0.0, .perspective_stddev = 0.005}, 5);
+  const Memory memory = memory_at(50);
+  Fusion fusion(options_);
+  ASSERT_TRUE(fusion.resume(memory));
+  play(fusion, 50.0, 51.2);
+  Fusion unharmed(options_);
+  play(unharmed, 0, 51.2);
+  const auto known = [](const Fusion& f) { return std::sqrt(f.memory()->estimate.covariance(kLean, kLean)); };
+  EXPECT_NEAR(known(fusion) / known(unharmed), 1.0, 0.02);
+}
+
+TEST_F(KilledFusion, FollowsWhatTheOdometryHasLearntMeanwhile) {
+  SyntheticOptions options{.duration = 60.0, .single_wrong_rate = 0.0};
+  options.lean = Eigen::Vector2d(0.0087, -0.0087);
+  options.perspective_stddev = 0.001;
+  options.lean_learnt_at = 50.2;
+  flight_ = make_flight(options, 5);
+  const Memory memory = memory_at(50);
+  ASSERT_TRUE(memory.keyframe.accel_bias.allFinite());
+  Fusion fusion(options_);
+  ASSERT_TRUE(fusion.resume(memory));
+  const std::vector<Solution> solutions = play(fusion, 50.5, 51.0);
+  const Eigen::Vector3d up = Eigen::Vector3d::UnitZ();
+  for (size_t k = 0; k < solutions.size(); ++k) {
+    EXPECT_LT((solutions[k].q_G_B * (flight_.truth_q[505 + k].conjugate() * up)).head<2>().norm(), 0.004) << k;
+  }
+}
+
 TEST_F(KilledFusion, GivesNoProtectionLevelUntilItIsConfirmedAnew) {
   const Memory memory = memory_at(60);
   ASSERT_TRUE(std::isfinite(last_.horizontal_protection_level));
@@ -190,7 +219,11 @@ TEST_F(KilledFusion, AFileThatIsCutOrAlteredIsNoMemory) {
   EXPECT_EQ(read->keyframe.utime, memory.keyframe.utime);
   EXPECT_EQ(read->keyframe.id, memory.keyframe.id);
   EXPECT_EQ(read->keyframe.q_W_B.coeffs(), memory.keyframe.q_W_B.coeffs());
+  ASSERT_TRUE(memory.keyframe.accel_bias.allFinite());
+  EXPECT_EQ(read->keyframe.accel_bias, memory.keyframe.accel_bias);
+  EXPECT_EQ(read->keyframe.height_above_ground, memory.keyframe.height_above_ground);
   EXPECT_EQ(read->estimate.state.x, memory.estimate.state.x);
+  EXPECT_NEAR(read->estimate.state.heading, memory.estimate.state.heading, 1e-12);
   EXPECT_EQ(read->estimate.covariance, memory.estimate.covariance);
   EXPECT_EQ(read->anchor.longitude_deg, memory.anchor.longitude_deg);
   EXPECT_EQ(read->reset_counter, memory.reset_counter);

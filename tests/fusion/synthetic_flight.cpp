@@ -6,13 +6,13 @@
 
 #include "common/geo/enu_frame.h"
 #include "common/math/so3.h"
-#include "services/fusion/error_budget.h"
 
 namespace orthonav::fusion {
 namespace {
 
 constexpr int64_t kStart = 1'700'000'000'000'000;
 constexpr double kStep = 0.1;
+constexpr double kGravity = 9.81;
 
 class Dice {
  public:
@@ -50,7 +50,7 @@ struct Path {
     const Eigen::Vector3d acceleration = (velocity(t + h) - velocity(t - h)) / (2.0 * h);
     ImuSample sample;
     sample.angular_rate = so3_log(attitude(t - h).conjugate() * attitude(t + h)) / (2.0 * h);
-    sample.specific_force = attitude(t).conjugate() * (acceleration + Eigen::Vector3d(0, 0, 9.81));
+    sample.specific_force = attitude(t).conjugate() * (acceleration + Eigen::Vector3d(0, 0, kGravity));
     return sample;
   }
 };
@@ -93,10 +93,19 @@ SyntheticFlight make_flight(const SyntheticOptions& options, uint64_t seed) {
     const double t = kStep * static_cast<double>(k);
     const Eigen::Vector3d velocity = path.velocity(t);
     const Eigen::Quaterniond q_G_B = path.attitude(t);
-    const Eigen::Vector3d lean = wandering + Eigen::Vector3d(options.lean.x(), options.lean.y(), 0.0);
+    const Eigen::Vector3d constant(options.lean.x(), options.lean.y(), 0.0);
+    const bool learnt = t >= options.lean_learnt_at;
+    const Eigen::Vector3d lean = learnt ? wandering : Eigen::Vector3d(wandering + constant);
     const Eigen::AngleAxisd heading(yaw_of(q_G_B), Eigen::Vector3d::UnitZ());
-    const Eigen::Quaterniond q_W_G = Eigen::AngleAxisd(yaw_W_G + heading_error, Eigen::Vector3d::UnitZ()) * heading *
-                                     so3_exp(-lean) * heading.inverse();
+    const auto leaning = [&](const Eigen::Vector3d& by) { return heading * so3_exp(-by) * heading.inverse(); };
+    const Eigen::Quaterniond q_W_G =
+        Eigen::AngleAxisd(yaw_W_G + heading_error, Eigen::Vector3d::UnitZ()) * leaning(lean);
+    // An odometry that leans has taken so much of gravity for the accelerometer's bias, m/s^2 in B.
+    const auto of_gravity = [&](const Eigen::Vector3d& by) -> Eigen::Vector3d {
+      const Eigen::Vector3d up(0, 0, kGravity);
+      return q_G_B.conjugate() * up - (leaning(by) * q_G_B).conjugate() * up;
+    };
+    const Eigen::Vector3d true_bias = accel_bias - of_gravity(wandering + constant);
     if (k > 0) {
       const Eigen::Vector3d moved = 0.5 * kStep * (velocity + path.velocity(t - kStep));
       p_G_B += moved;
@@ -112,7 +121,7 @@ SyntheticFlight make_flight(const SyntheticOptions& options, uint64_t seed) {
         ImuSample sample = path.inertial(t - 0.005 * i);
         sample.utime = utime - 5000 * i;
         sample.angular_rate += gyro_bias + noise.normal3(0.0024, 0.0024);
-        sample.specific_force += accel_bias + noise.normal3(0.028, 0.028);
+        sample.specific_force += true_bias + noise.normal3(0.028, 0.028);
         flight.steps.push_back({SyntheticFlight::Step::Kind::kImu, flight.imu.size()});
         flight.imu.push_back(sample);
       }
@@ -133,6 +142,7 @@ SyntheticFlight make_flight(const SyntheticOptions& options, uint64_t seed) {
     state.v_W_B = std::exp(-log_scale) * (q_W_G * velocity);
     state.gyro_bias = gyro_bias;
     state.accel_bias = accel_bias + accel_bias_error;
+    if (learnt) state.accel_bias -= of_gravity(constant);
     flight.states.push_back(state);
     flight.truth.push_back(p_G_B);
     flight.truth_q.push_back(q_G_B);
@@ -150,9 +160,13 @@ SyntheticFlight make_flight(const SyntheticOptions& options, uint64_t seed) {
       flight.steps.push_back({SyntheticFlight::Step::Kind::kKeyframe, index});
       flight.keyframes.push_back(keyframe);
 
-      const double keep = std::exp(-options.speed * options.keyframe_interval / options.fix_shared_distance);
-      const double renew = std::sqrt(1.0 - keep * keep);
-      shared = keep * shared + renew * dice.normal3(options.fix_shared_stddev, options.fix_shared_vertical_stddev);
+      const double way = options.speed * options.keyframe_interval;
+      const Eigen::Vector3d renewed = dice.normal3(options.fix_shared_stddev, options.fix_shared_vertical_stddev);
+      for (int axis = 0; axis < 3; ++axis) {
+        const double keep =
+            std::exp(-way / (axis < 2 ? options.fix_shared_distance : options.fix_shared_vertical_distance));
+        shared(axis) = keep * shared(axis) + std::sqrt(1.0 - keep * keep) * renewed(axis);
+      }
       if (dice.uniform() < options.fix_rate) {
         if (run_left == 0 && dice.uniform() < options.wrong_run_rate) {
           run_left = 1 + static_cast<int>(-options.wrong_run_length * std::log(1.0 - dice.uniform()));
@@ -167,9 +181,11 @@ SyntheticFlight make_flight(const SyntheticOptions& options, uint64_t seed) {
         fix.utime = utime;
         fix.session = 1;
         fix.keyframe_id = keyframe.id;
-        const Eigen::Vector2d tilt = (heading * lean).head<2>();
-        const Lever lever = lever_of_height(p_G_B.z());
-        fix.position = frame.to_geodetic(p_G_B + lever * tilt + offset + shared +
+        // The ground below is where the map has it; who leans takes it to be in another direction, and himself with it.
+        const Eigen::Vector3d tilt = heading * lean;  // R_G_B = Exp(tilt) R_odometry
+        const Eigen::Vector3d to_ground(0.0, 0.0, -p_G_B.z());
+        const Eigen::Vector3d leans = to_ground - so3_exp(-tilt) * to_ground;
+        fix.position = frame.to_geodetic(p_G_B + leans + offset + shared +
                                          dice.normal3(options.fix_stddev, options.fix_vertical_stddev));
         fix.anchor = flight.anchor;
         fix.covariance = Eigen::Vector3d(options.fix_stddev, options.fix_stddev, options.fix_vertical_stddev)
@@ -178,8 +194,8 @@ SyntheticFlight make_flight(const SyntheticOptions& options, uint64_t seed) {
         if (std::isfinite(options.perspective_stddev)) {
           const double variance = options.perspective_stddev * options.perspective_stddev;
           const Eigen::Vector3d error = noise.normal3(options.perspective_stddev, 0.0);
-          fix.upright = Upright{Eigen::Vector3d::Zero(), fix.covariance, lever, tilt + error.head<2>(),
-                                variance * Eigen::Matrix2d::Identity()};
+          fix.upright = Upright{Eigen::Vector3d::Zero(), fix.covariance, -skew(to_ground).leftCols<2>(),
+                                (tilt + error).head<2>(), variance * Eigen::Matrix2d::Identity()};
         }
         fix.heading = heading_of(q_G_B) + heading_bias + dice.normal(0.01);
         fix.heading_stddev = 0.06;
@@ -193,7 +209,7 @@ SyntheticFlight make_flight(const SyntheticOptions& options, uint64_t seed) {
       }
     }
     // Lean and scale wander about zero.
-    const double keep_lean = std::exp(-kStep / 60.0);
+    const double keep_lean = std::exp(-kStep / options.lean_time);
     wandering =
         keep_lean * wandering + noise.normal3(options.lean_stddev, 0.0) * std::sqrt(1.0 - keep_lean * keep_lean);
     heading_error += dice.normal(options.heading_walk * std::sqrt(kStep));

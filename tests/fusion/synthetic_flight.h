@@ -35,13 +35,17 @@ struct SyntheticOptions {
   int fix_delay = 2;                // keyframes between a keyframe and its fix
   double fix_shared_vertical_stddev = 1.0;
   double fix_shared_distance = 40.0;  // m of way over which it is forgotten
-  // Of the odometry's vertical, in the body's levelled axes, rad: a constant part, and one correlated over 60 s. Fixes
-  // lean with it.
+  double fix_shared_vertical_distance = 40.0;
+  // Of the odometry's vertical, in the body's levelled axes, rad: a constant part, and one that wanders. Fixes lean
+  // with it. It is an error of the accelerometer's bias: the sensor's own wanders, and what the odometry takes it for
+  // stays, until it learns the constant part all at once.
   Eigen::Vector2d lean = Eigen::Vector2d::Zero();
   double lean_stddev = 0.0;
+  double lean_time = 60.0;               // s over which it is forgotten
+  double lean_learnt_at = kUnknown;      // s from the start; NaN: never
   double perspective_stddev = kUnknown;  // rad, of the tilt that fixes tell; NaN: they do not
   double compass_noise = 0.017;          // rad, white; the bias is the fixes' heading's
-  bool imu = false;                      // 200 Hz samples, with constant biases that the odometry knows to 0.02 m/s^2
+  bool imu = false;                      // 200 Hz samples, of biases that the odometry knows to 0.02 m/s^2 and the lean
 };
 
 struct SyntheticFlight {

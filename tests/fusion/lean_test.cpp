@@ -1,0 +1,192 @@
+// The lean, the error of the odometry's vertical, against the mechanics that it comes from: no sign here is taken from
+// the code under test.
+#include <cmath>
+
+#include <gtest/gtest.h>
+
+#include "common/math/so3.h"
+#include "services/fusion/error_budget.h"
+#include "services/fusion/pose_graph.h"
+#include "tests/fusion/faults.h"
+#include "tests/fusion/fly.h"
+
+namespace orthonav::fusion {
+namespace {
+
+constexpr double kGravity = 9.81;
+const Eigen::Vector3d kUp = Eigen::Vector3d::UnitZ();
+
+// The attitude that an accelerometer at rest shows to one who takes `bias` for its bias, with the yaw of `q_G_B`.
+Eigen::Quaterniond levelled(const Eigen::Quaterniond& q_G_B, const Eigen::Vector3d& true_bias,
+                            const Eigen::Vector3d& bias) {
+  const Eigen::Vector3d force_B = q_G_B.conjugate() * (kGravity * kUp) + true_bias - bias;
+  const Eigen::Quaterniond q = Eigen::Quaterniond::FromTwoVectors(q_G_B * force_B, kUp) * q_G_B;
+  return Eigen::AngleAxisd(yaw_of(q_G_B) - yaw_of(q), kUp) * q;
+}
+
+// What turns the odometry's body into the true one, about the body's axes levelled.
+Eigen::Vector3d lean_of(const Eigen::Quaterniond& q_G_B, const Eigen::Quaterniond& q_W_B) {
+  const Eigen::AngleAxisd heading(yaw_of(q_W_B), kUp);
+  return so3_log(heading.inverse() * (q_G_B * q_W_B.conjugate()) * heading);
+}
+
+TEST(Lean, ChangesByWhatTheOdometryLearnsOfTheAccelerometer) {
+  const Eigen::Vector3d true_bias(0.11, -0.07, 0.05);
+  const Eigen::Quaterniond q_G_B = Eigen::AngleAxisd(2.2, kUp) * Eigen::AngleAxisd(0.15, Eigen::Vector3d::UnitY()) *
+                                   Eigen::AngleAxisd(-0.1, Eigen::Vector3d::UnitX());
+  Keyframe before, after;
+  before.accel_bias = Eigen::Vector3d(-0.02, 0.03, 0.0);
+  after.accel_bias = Eigen::Vector3d(0.08, -0.10, 0.02);
+  after.id = 1;
+  after.utime = 500'000;
+  for (Keyframe* keyframe : {&before, &after}) {
+    keyframe->q_W_B = levelled(q_G_B, true_bias, keyframe->accel_bias);
+    keyframe->height_above_ground = 100.0;
+  }
+  const Eigen::Vector3d change = lean_of(q_G_B, after.q_W_B) - lean_of(q_G_B, before.q_W_B);
+  ASSERT_GT(change.head<2>().cwiseAbs().minCoeff(), 0.009);
+  const Transition transition = transition_between(FusionOptions{}, before, after, Eigen::Quaterniond::Identity());
+  EXPECT_LT((transition.lean_change - change.head<2>()).norm(), 2e-4) << transition.lean_change.transpose();
+  // And by nothing where nothing is known.
+  after.accel_bias.setConstant(kUnknown);
+  EXPECT_EQ(transition_between(FusionOptions{}, before, after, Eigen::Quaterniond::Identity()).lean_change.norm(), 0.0);
+}
+
+TEST(Lean, MovesAFixOverThePointsThatItSees) {
+  // Leaning to the east and thought upright: the point under the body is seen to the west, or the body east of it.
+  const double height = 285.0;
+  const double angle = 0.01;
+  const Lever lever = lever_of_height(height);
+  const Eigen::Vector3d point(40.0, -20.0, 430.0), body = point + height * kUp;
+  for (const Eigen::Vector3d& axis :
+       {Eigen::Vector3d(1, 0, 0), Eigen::Vector3d(0, 1, 0), Eigen::Vector3d(0.6, -0.8, 0)}) {
+    const Eigen::Quaterniond q_G_B(Eigen::AngleAxisd(angle, axis));
+    const Eigen::Vector3d ray_B = q_G_B.conjugate() * (point - body);  // as the camera has it
+    const Eigen::Vector3d fix = point - ray_B;                         // by a body that takes itself for upright
+    const Eigen::Vector3d moved = lever * (angle * axis).head<2>();
+    EXPECT_LT((fix - body - moved).norm(), 0.02) << axis.transpose();
+    EXPECT_NEAR(moved.norm(), height * angle, 1e-9);
+  }
+}
+
+// High up, where the lean is most of what fixes err by.
+SyntheticOptions high() {
+  SyntheticOptions options;
+  options.duration = 120.0;
+  options.keyframe_interval = 0.5;
+  options.height = 285.0;
+  options.speed = 6.0;
+  options.single_wrong_rate = 0.0;
+  options.fix_stddev = options.fix_vertical_stddev = 0.3;
+  options.fix_shared_stddev = options.fix_shared_vertical_stddev = 0.3;
+  options.position_noise = 0.005;
+  options.lean = Eigen::Vector2d(0.0087, -0.0087);  // 0.5 degrees each
+  return options;
+}
+
+double horizontal_error(const SyntheticFlight& flight, const Flown& flown, size_t state) {
+  const Solution& solution = flown.solutions[state];
+  if (!solution.located()) return std::nan("");
+  return (EnuFrame(flight.anchor).to_enu(solution.position) - flight.truth[state]).head<2>().norm();
+}
+
+TEST(Lean, IsNoFallWhileTheInertialSensorAloneCarriesThePosition) {
+  SyntheticOptions options = high();
+  options.imu = true;
+  for (uint64_t seed = 1; seed <= 3; ++seed) {
+    SyntheticFlight flight = make_flight(options, seed);
+    faults::restart_odometry(flight, 80.0, 9.5);
+    const Flown flown = fly(flight, FusionOptions{});
+    // Gravity times the lean is 6.8 m by then; what the odometry does not know of the bias, 0.02 m/s^2 an axis, 1.3 m.
+    EXPECT_LT(horizontal_error(flight, flown, 892), 4.0) << "seed " << seed;
+    EXPECT_TRUE(flown.solutions[892].inertial || flown.solutions[892].mode == Mode::kCoasting) << "seed " << seed;
+    EXPECT_LT((flown.solutions[892].q_G_B.angularDistance(flight.truth_q[892])), 0.012) << "seed " << seed;
+  }
+}
+
+TEST(Lean, IsFollowedWhenTheOdometryLearnsItsBiasAllAtOnce) {
+  SyntheticOptions options = high();
+  options.imu = true;
+  options.lean_learnt_at = 80.0;
+  for (uint64_t seed = 1; seed <= 3; ++seed) {
+    const SyntheticFlight flight = make_flight(options, seed);
+    const Flown flown = fly(flight, FusionOptions{});
+    for (size_t k = 795; k < 830; ++k) {
+      // Tilt of the attitude given out: also between the change and the next keyframe.
+      const Eigen::Vector3d up = flown.solutions[k].q_G_B * (flight.truth_q[k].conjugate() * kUp);
+      EXPECT_LT(up.head<2>().norm(), 0.004) << "seed " << seed << ", state " << k;
+      EXPECT_LT(horizontal_error(flight, flown, k), 2.0) << "seed " << seed << ", state " << k;
+    }
+    EXPECT_EQ(flown.misleading_horizontal + flown.misleading_vertical, 0) << "seed " << seed;
+  }
+}
+
+TEST(Lean, IsTakenFromWhereFixesThatAreNotBelievedAgreeToBe) {
+  // As far as these fixes are off, and no further: they lean as all others do.
+  const Eigen::Vector3d aside(80.0, -60.0, 0.0);
+  const auto levels = [&](const Eigen::Vector2d& lean) {
+    SyntheticOptions options = high();
+    options.lean = lean;
+    options.perspective_stddev = 0.001;
+    SyntheticFlight flight = make_flight(options, 2);
+    faults::shift_fixes(flight, 90.0, 105.0, aside);
+    const Flown flown = fly(flight, FusionOptions{});
+    EXPECT_EQ(flown.wrong_used, 0);
+    std::vector<double> result;
+    for (size_t k = 1000; k < 1050; ++k) result.push_back(flown.solutions[k].horizontal_protection_level);
+    return result;
+  };
+  const std::vector<double> upright = levels(Eigen::Vector2d::Zero());
+  const std::vector<double> leaning = levels(Eigen::Vector2d(0.02, -0.02));  // 8 m on the ground
+  for (size_t k = 0; k < upright.size(); ++k) {
+    ASSERT_GT(upright[k], 100.0);
+    EXPECT_NEAR(leaning[k], upright[k], 2.0) << k;
+  }
+}
+
+TEST(Lean, IsNotLearntFromATiltThatNoBodyHas) {
+  // As registration once gave it of 20 matches: 475 and 1009 degrees, known to a millionth, beside a position that was
+  // right. Of the first fix of all, and now and then.
+  SyntheticOptions options = high();
+  options.perspective_stddev = 0.0087;
+  SyntheticFlight flight = make_flight(options, 1);
+  for (size_t k = 0; k < flight.fixes.size(); k += 20) {
+    flight.fixes[k].upright->tilt = Eigen::Vector2d(-8.29, 17.6);
+    flight.fixes[k].upright->tilt_covariance = 1e-12 * Eigen::Matrix2d::Identity();
+  }
+  const Flown flown = fly(flight, FusionOptions{});
+  EXPECT_EQ(flown.solutions.back().reset_counter, 1);
+  EXPECT_LT(flown.largest, 5.0);
+  EXPECT_EQ(flown.misleading_horizontal + flown.misleading_vertical, 0);
+}
+
+// Standard deviation of the lean, rad, at the end of a flight whose positions say nothing of it.
+double known_lean(const SyntheticFlight& flight, int every) {
+  Fusion fusion{FusionOptions{}};
+  for (const SyntheticFlight::Step& step : flight.steps) {
+    if (step.kind == SyntheticFlight::Step::Kind::kState) fusion.propagate(flight.states[step.index]);
+    if (step.kind == SyntheticFlight::Step::Kind::kKeyframe) fusion.add_keyframe(flight.keyframes[step.index]);
+    if (step.kind != SyntheticFlight::Step::Kind::kFix || flight.fixes[step.index].keyframe_id % every != 0) continue;
+    fusion.add_fix(flight.fixes[step.index]);
+  }
+  const auto memory = fusion.memory();
+  return memory ? std::sqrt(memory->estimate.covariance(kLean, kLean)) : std::nan("");
+}
+
+TEST(Lean, IsKnownFromWayAndNotFromLookingOften) {
+  SyntheticOptions options = high();
+  options.fix_rate = 1.0;
+  options.fix_stddev = options.fix_vertical_stddev = 100.0;
+  options.perspective_stddev = 0.0087;
+  const SyntheticFlight flight = make_flight(options, 1);
+  const double often = known_lean(flight, 1), seldom = known_lean(flight, 6);
+  EXPECT_NEAR(often / seldom, 1.0, 0.1);
+  // Of 700 m of way, twice what is forgotten of it is worth one fix, and so are the first one and the prior; the
+  // robust loss and the lean's own walk take something of it.
+  const double worth = 2.0 + 700.0 / (2.0 * 0.25 * 285.0);
+  EXPECT_GT(often, 0.0087 / std::sqrt(worth));
+  EXPECT_LT(often, 1.25 * 0.0087 / std::sqrt(worth));
+}
+
+}  // namespace
+}  // namespace orthonav::fusion
