@@ -209,15 +209,24 @@ bool Fusion::within_gate(const Sighting& sighting) const {
 }
 
 // The perspective of the same ground seen again is no news: of a constant error that is forgotten over some way, a
-// sample at that way's share from the last tells as much as one in coth(share / 2) would that errs by itself.
+// sample at that way's share from the last tells as much as one in coth(share / 2) would that errs by itself. A fit of
+// few matches may end on its head and be sure of it, its position right all the same: such a tilt is left out.
 void Fusion::add_tilt(const Sighting& sighting) {
   if (!sighting.fix.upright) return;
+  const Upright& upright = *sighting.fix.upright;
+  const Estimate estimate = graph_->estimate(sighting.keyframe.id);
+  const Eigen::Matrix<double, 2, 3> J = tilt_jacobian(estimate.state);
+  const Eigen::Matrix2d covariance =
+      J * estimate.covariance.block<3, 3>(kYaw, kYaw) * J.transpose() + upright.tilt_covariance;
+  const Eigen::Vector2d innovation = upright.tilt - estimate.state.tilt();
+  const double limit = options_.gate.innovation * options_.gate.innovation;
+  if (!(innovation.dot(covariance.llt().solve(innovation)) < limit)) return;
   const Eigen::Vector3d& p_W_B = sighting.keyframe.p_W_B;
   const double forgotten = options_.fix.tilt_distance * working_height(options_.edge, sighting.keyframe);
   const double news = tilted_from_ ? std::tanh(0.5 * (p_W_B - *tilted_from_).head<2>().norm() / forgotten) : 1.0;
   if (news < kNoNews) return;
   tilted_from_ = p_W_B;
-  graph_->add_tilt(sighting.keyframe.id, sighting.fix.upright->tilt, sighting.fix.upright->tilt_covariance / news);
+  graph_->add_tilt(sighting.keyframe.id, upright.tilt, upright.tilt_covariance / news);
 }
 
 void Fusion::use(const Sighting& sighting) {

@@ -144,6 +144,22 @@ TEST(Lean, IsTakenFromWhereFixesThatAreNotBelievedAgreeToBe) {
   }
 }
 
+TEST(Lean, IsNotLearntFromATiltThatNoBodyHas) {
+  // As registration once gave it of 20 matches: 475 and 1009 degrees, known to a millionth, beside a position that was
+  // right. Of the first fix of all, and now and then.
+  SyntheticOptions options = high();
+  options.perspective_stddev = 0.0087;
+  SyntheticFlight flight = make_flight(options, 1);
+  for (size_t k = 0; k < flight.fixes.size(); k += 20) {
+    flight.fixes[k].upright->tilt = Eigen::Vector2d(-8.29, 17.6);
+    flight.fixes[k].upright->tilt_covariance = 1e-12 * Eigen::Matrix2d::Identity();
+  }
+  const Flown flown = fly(flight, FusionOptions{});
+  EXPECT_EQ(flown.solutions.back().reset_counter, 1);
+  EXPECT_LT(flown.largest, 5.0);
+  EXPECT_EQ(flown.misleading_horizontal + flown.misleading_vertical, 0);
+}
+
 // Standard deviation of the lean, rad, at the end of a flight whose positions say nothing of it.
 double known_lean(const SyntheticFlight& flight, int every) {
   Fusion fusion{FusionOptions{}};
