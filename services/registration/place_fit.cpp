@@ -4,6 +4,8 @@
 #include <array>
 #include <cmath>
 #include <optional>
+#include <tuple>
+#include <utility>
 
 #include <Eigen/Cholesky>
 
@@ -281,10 +283,13 @@ using Matrix8d = Eigen::Matrix<double, 8, 8>;
 // What a fit of (position, turn in G, log scale, stretch) is without its prior on the turn's first two, the tilt from
 // the odometry's vertical. It ended at `p_G_B` and `tilt` (rad, about east and north). `information` holds that prior,
 // `tilt_information` times the identity, and `of_matches`, which the matches' errors make too small by `errors` and,
-// where they tell the tilt, too large by 1 / `tilt_errors`; they show `followed` of a true tilt.
-Upright upright_of(const Eigen::Vector3d& p_G_B, const Eigen::Vector2d& tilt, const Matrix8d& information,
-                   const Matrix8d& of_matches, double tilt_information, double errors, double tilt_errors,
-                   double followed) {
+// where they tell the tilt, too large by 1 / `tilt_errors`; they show `followed` of a true tilt. `of_ground`, in
+// `information` too, is the map's height, whose error is not the matches' and is left out of the covariance: what it
+// adds comes second.
+std::pair<Upright, Eigen::Matrix3d> upright_of(const Eigen::Vector3d& p_G_B, const Eigen::Vector2d& tilt,
+                                               const Matrix8d& information, const Matrix8d& of_matches,
+                                               const Matrix8d& of_ground, double tilt_information, double errors,
+                                               double tilt_errors, double followed) {
   const std::array<int, 6> rest{0, 1, 2, 5, 6, 7};
   const std::array<int, 2> tilts{3, 4};
   using Matrix6d = Eigen::Matrix<double, 6, 6>;
@@ -297,11 +302,11 @@ Upright upright_of(const Eigen::Vector3d& p_G_B, const Eigen::Vector2d& tilt, co
   Upright upright;
   upright.lever = follows.topRows<3>();
   upright.p_G_B = p_G_B + upright.lever * tilt;
-  const Matrix6d noise = information(rest, rest) - (1 - errors) * of_matches(rest, rest);
+  const Matrix6d noise = information(rest, rest) - (1 - errors) * of_matches(rest, rest) - of_ground(rest, rest);
   upright.covariance = (inverse * noise * inverse).topLeftCorner<3, 3>();
   upright.tilt = of_tilt.inverse() * (with_prior * tilt) / followed;
   upright.tilt_covariance = tilt_errors * of_tilt.inverse() / (followed * followed);
-  return upright;
+  return {upright, (inverse * of_ground(rest, rest) * inverse).topLeftCorner<3, 3>()};
 }
 
 }  // namespace
@@ -357,7 +362,7 @@ FittedPose fit_pose(const std::vector<const View*>& views, const PlaceFit& fit, 
   double log_scale = scale_before.log_scale;
   using Row = Eigen::Matrix<double, 8, 1>;
   double stretch = std::log(fit.alignment.scale) - log_scale;
-  Matrix8d information, of_matches;
+  Matrix8d information, of_matches, of_ground;
   // What matches err by together shifts or turns them all; it tilts nothing. Where they tell the tilt they count more,
   // or else its prior as much less.
   const double tilt_errors =
@@ -412,6 +417,7 @@ FittedPose fit_pose(const std::vector<const View*>& views, const PlaceFit& fit, 
     height(6) = -scale * mean_drop;
     const double expected_height = level + (scale - scaled) * mean_drop;
     add_prior(height, p_G_B.z() - expected_height, options.ground_height_stddev);
+    of_ground = height * height.transpose() / std::pow(options.ground_height_stddev, 2);
     const Row step = information.ldlt().solve(-gradient);
     if (!step.allFinite()) return result;
     p_G_B += step.head<3>();
@@ -428,8 +434,9 @@ FittedPose fit_pose(const std::vector<const View*>& views, const PlaceFit& fit, 
   if (!covariance.allFinite()) return result;
   const Eigen::Vector3d turned = so3_log(Eigen::Quaterniond(R_G_W * R_prior.transpose()));
   Upright& upright = result.upright;
-  upright = upright_of(p_G_B, turned.head<2>(), information, of_matches, tilt_information, errors, tilt_errors,
-                       options.tilt_followed);
+  Eigen::Matrix3d by_ground;
+  std::tie(upright, by_ground) = upright_of(p_G_B, turned.head<2>(), information, of_matches, of_ground,
+                                            tilt_information, errors, tilt_errors, options.tilt_followed);
   upright.covariance(2, 2) += std::pow(ground.hidden_stddev(), 2);
   // The matches' word on the vertical, weighed against the odometry's.
   const Eigen::Matrix2d of_tilt = upright.tilt_covariance.inverse();
@@ -441,7 +448,7 @@ FittedPose fit_pose(const std::vector<const View*>& views, const PlaceFit& fit, 
   result.p_G_B = upright.p_G_B - upright.lever * tilt;
   result.q_G_B = Eigen::Quaterniond(so3_exp(correction).toRotationMatrix() * R_G_W * keyframe.q_W_B.toRotationMatrix())
                      .normalized();
-  result.covariance = upright.covariance + upright.lever * tilt_covariance * upright.lever.transpose();
+  result.covariance = upright.covariance + by_ground + upright.lever * tilt_covariance * upright.lever.transpose();
   result.covariance.topLeftCorner<2, 2>() += options.map_stddev * options.map_stddev * Eigen::Matrix2d::Identity();
   result.scale = std::exp(log_scale);
   result.scale_stddev = result.scale * std::sqrt(covariance(6, 6));
