@@ -361,7 +361,7 @@ FittedPose fit_pose(const std::vector<const View*>& views, const PlaceFit& fit, 
   double stretch = std::log(fit.alignment.scale) - log_scale;
   using Row = Eigen::Matrix<double, 6, 1>;
   using Matrix6d = Eigen::Matrix<double, 6, 6>;
-  Matrix6d information, of_matches;
+  Matrix6d information, of_matches, of_ground;
   Eigen::Matrix<double, 6, 2> with_tilt;  // of the information: what another vertical would do
   const double width = std::max(0.5, 2 * fit.rms);
   for (int iteration = 0; iteration < 6; ++iteration) {
@@ -418,6 +418,7 @@ FittedPose fit_pose(const std::vector<const View*>& views, const PlaceFit& fit, 
     height(4) = -scale * mean_drop;
     const double expected_height = level + (scale - scaled) * mean_drop;
     add_prior(height, p_G_B.z() - expected_height, options.ground_height_stddev);
+    of_ground = height * height.transpose() / std::pow(options.ground_height_stddev, 2);
     const Row step = information.ldlt().solve(-gradient);
     if (!step.allFinite()) return result;
     p_G_B += step.head<3>();
@@ -434,25 +435,27 @@ FittedPose fit_pose(const std::vector<const View*>& views, const PlaceFit& fit, 
   if (!covariance.allFinite()) return result;
   Upright& upright = result.upright;
   upright.p_G_B = p_G_B;
-  upright.covariance = covariance.topLeftCorner<3, 3>();
+  // What the map's heights err by is not the matches' word.
+  const Eigen::Matrix3d by_ground = (inverse * of_ground * inverse).topLeftCorner<3, 3>();
+  upright.covariance = covariance.topLeftCorner<3, 3>() - by_ground;
   upright.covariance(2, 2) += std::pow(ground.hidden_stddev(), 2);
   upright.lever = (inverse * with_tilt).topRows<3>();
   const Eigen::Matrix3d R_G_W = Eigen::AngleAxisd(turn, Eigen::Vector3d::UnitZ()).matrix();
   for (size_t i = 0; i < inliers.size(); ++i) offsets[i] = scaled * (R_G_W * offsets[i]);
-  const TiltBelief of_ground = tilt_of_ground(offsets, rises, keyframe.height_above_ground,
-                                              static_cast<double>(views.size()), options.ground_height_stddev);
-  upright.tilt = of_ground.tilt;
-  upright.tilt_covariance = of_ground.covariance;
+  const TiltBelief slope = tilt_of_ground(offsets, rises, keyframe.height_above_ground,
+                                          static_cast<double>(views.size()), options.ground_height_stddev);
+  upright.tilt = slope.tilt;
+  upright.tilt_covariance = slope.covariance;
   // The ground's word on the vertical, weighed against the odometry's.
-  const Eigen::Matrix2d information_of_ground = of_ground.covariance.inverse();
+  const Eigen::Matrix2d of_slope = slope.covariance.inverse();
   const Eigen::Matrix2d tilt_covariance =
-      (information_of_ground + Eigen::Matrix2d::Identity() / (options.tilt_stddev * options.tilt_stddev)).inverse();
-  const Eigen::Vector2d tilt = tilt_covariance * (information_of_ground * of_ground.tilt);
+      (of_slope + Eigen::Matrix2d::Identity() / (options.tilt_stddev * options.tilt_stddev)).inverse();
+  const Eigen::Vector2d tilt = tilt_covariance * (of_slope * slope.tilt);
   result.p_G_B = upright.p_G_B - upright.lever * tilt;
   result.q_G_B = Eigen::Quaterniond(so3_exp(Eigen::Vector3d(tilt.x(), tilt.y(), 0)).toRotationMatrix() * R_G_W *
                                     keyframe.q_W_B.toRotationMatrix())
                      .normalized();
-  result.covariance = upright.covariance + upright.lever * tilt_covariance * upright.lever.transpose();
+  result.covariance = upright.covariance + by_ground + upright.lever * tilt_covariance * upright.lever.transpose();
   result.covariance.topLeftCorner<2, 2>() += options.map_stddev * options.map_stddev * Eigen::Matrix2d::Identity();
   result.scale = std::exp(log_scale);
   result.scale_stddev = result.scale * std::sqrt(covariance(4, 4));

@@ -2,7 +2,7 @@
 // seconds instead of a replay's minutes.
 //   bench_recorded CONFIG_FOLDER OUT.lcm...      (logs that orthonav-replay wrote)
 //   --map FLIGHT.map.tif: of one flight; it is registered anew, too
-//   --out NEW.lcm: what was said of it, without the images
+//   --out NEW.lcm: of one flight, what was said and the truth to compare it with, without the images
 #include <cmath>
 #include <cstdio>
 #include <filesystem>
@@ -114,6 +114,10 @@ int main(int argc, char** argv) {
   app.add_option("--map", arguments.map, "of one flight: it is registered anew, too")->check(CLI::ExistingFile);
   app.add_option("--out", arguments.out, "log to write of one flight, without its images");
   CLI11_PARSE(app, argc, argv);
+  if (arguments.logs.size() > 1 && !(arguments.map.empty() && arguments.out.empty())) {
+    std::fprintf(stderr, "--map and --out are of one flight, and there are %zu logs\n", arguments.logs.size());
+    return 1;
+  }
   std::printf("%-22s %20s | %57s | %26s |\n", "", "fixes", "fusion", "protection levels");
   std::printf("%-22s %6s %6s %6s | %6s %6s %6s %7s %6s %6s %6s %6s %6s | %6s %6s %6s %5s | %6s %5s %5s %4s %4s %7s\n",
               "flight", "3D", "horiz", "vert", "3D", "horiz", "vert", "worst", "head", "NEES", "NEES h", "NEES v",

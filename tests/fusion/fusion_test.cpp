@@ -86,6 +86,7 @@ TEST(Fusion, LeavesAWrongLockWhenMoreFixesAgreeElsewhere) {
     EXPECT_EQ(count(flown, Outcome::kLocked), 1);
     EXPECT_EQ(count(flown, Outcome::kRelocked), 1) << "seed " << seed;
     EXPECT_EQ(flown.solutions.back().reset_counter, 2);
+    EXPECT_EQ(flown.misleading_horizontal + flown.misleading_vertical, 0) << "seed " << seed;
     const EnuFrame frame(flight.anchor);
     EXPECT_LT((frame.to_enu(flown.solutions.back().position) - flight.truth.back()).norm(), 6.0);
   }

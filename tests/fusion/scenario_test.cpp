@@ -145,16 +145,5 @@ TEST(Scenario, AVerticalThatLeansIsFoundInTheFixesPerspective) {
   }
 }
 
-TEST(Scenario, EightWrongFixesFirstDoNotStay) {
-  SyntheticOptions options = two_minutes();
-  options.wrong_at_start = 8;
-  for (uint64_t seed = 1; seed <= 4; ++seed) {
-    const SyntheticFlight flight = make_flight(options, seed);
-    const Flown flown = fly(flight, FusionOptions{});
-    EXPECT_LT(error_at(flight, flown, 600), 6.0) << "seed " << seed;
-    EXPECT_EQ(flown.misleading_horizontal + flown.misleading_vertical, 0) << "seed " << seed;
-  }
-}
-
 }  // namespace
 }  // namespace orthonav::fusion

@@ -63,6 +63,10 @@ TEST_F(SubmapTest, EstimatesTheErrorsOfCompassAndScaleFromAnUnknownStart) {
     const double height_stddev = std::sqrt(fix.covariance(2, 2) - 12 * 12);
     EXPECT_LT(std::abs(error.z()), 2.5 * height_stddev) << heading;
     EXPECT_LT(height_stddev, 2.0);
+    // What the map's height errs by is the map's: neighbours share it, and it is not the matches' word.
+    const double by_ground = std::sqrt(fix.covariance(2, 2) - fix.upright.covariance(2, 2));
+    EXPECT_GT(by_ground, 0.8 * FitOptions().ground_height_stddev);
+    EXPECT_LT(by_ground, 1.05 * FitOptions().ground_height_stddev);
     EXPECT_NEAR(fix.scale, 1 / scale_error, 2.5 * fix.scale_stddev);
     EXPECT_LT(fix.scale_stddev, 0.025);
     EXPECT_NEAR(fix.heading_correction, -heading_error, 2.5 * fix.heading_correction_stddev);
