@@ -10,12 +10,12 @@
 #include <fmt/format.h>
 
 #include "common/config/config.h"
+#include "common/math/angles.h"
 
 namespace orthonav {
 
 namespace {
 
-constexpr double kDegree = std::numbers::pi / 180;
 constexpr size_t kFewestReadings = 50;
 constexpr double kWidestGap = 40 * kDegree;
 // Readings whose thinnest direction is thinner than this part of the thickest lie in a plane: a level turn.

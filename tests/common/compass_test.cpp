@@ -7,13 +7,13 @@
 
 #include "common/compass/level.h"
 #include "common/compass/magnetic_calibration.h"
+#include "common/math/angles.h"
 #include "common/math/so3.h"
 #include "tests/support/temporary_folder.h"
 
 namespace orthonav {
 namespace {
 
-constexpr double kDegree = M_PI / 180;
 // Central Europe: 20 uT to magnetic north, 44 uT down.
 const Eigen::Vector3d kField_M(0, 20e-6, -44e-6);  // east, magnetic north, up
 

@@ -181,7 +181,7 @@ class Photographer {
 void match(const Photographer& photographer, const Shot& shot, const Map& map, cv::FlannBasedMatcher& matcher,
            double size, double height, std::mt19937_64& random, Tally& tally) {
   std::normal_distribution<double> normal(0, 1);
-  const double turn = 3 * kDegree * normal(random), scale = 1 + 0.03 * normal(random);
+  const double turn = 3 * orthonav::kDegree * normal(random), scale = 1 + 0.03 * normal(random);
   std::vector<cv::Point2f> corners;
   cv::goodFeaturesToTrack(shot.image, corners, 150, 0.01, 20);
   if (corners.size() < 8) return tally.add(0, 1e9);
@@ -242,7 +242,7 @@ void run(const Arguments& arguments) {
           fmt::format("calibrate_{}_{}_{}", arguments.scenario.filename().string(), difference, seed);
       const std::filesystem::path map_file = arguments.scratch / (name + ".tif");
       const World world = orthonav::simulate::make_world(world_node, static_cast<uint64_t>(seed), difference, map_file);
-      const Photographer photographer(world, camera, height, margin, tilt_deg * kDegree);
+      const Photographer photographer(world, camera, height, margin, tilt_deg * orthonav::kDegree);
       for (size_t i = 0; i < arguments.sizes.size(); ++i) {
         const double size = arguments.sizes[i];
         const Map map = load_map(map_file, world.frame, size);
