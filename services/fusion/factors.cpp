@@ -105,6 +105,8 @@ PairQuadratic linearise(const Transition& transition, const NodeState& i, const 
     pair.j.b(k) += root * r(k);
     pair.H_ij(k, k) += back * root;
   }
+  pair.j.H.diagonal().segment<2>(kLean).array() += transition.lean_gained;
+  pair.j.b.segment<2>(kLean) += transition.lean_gained * j.lean() + transition.lean_known * transition.lean_change;
   return pair;
 }
 

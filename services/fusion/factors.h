@@ -15,13 +15,16 @@ namespace orthonav::fusion {
 // Motion from node i to node j: equations (12) and (13) with the odometry's scale and lean,
 //   p_j - p_i - exp(scale_i) R_G_W,i dp_W,
 // while each of the other variables x decays towards 0 or walks: x_j - decay x_i. The lean follows what the odometry
-// has changed its mind by about the accelerometer: lean_j - lean_i - lean_change.
+// has changed its mind by about the accelerometer: lean_j - lean_i - lean_change. At either node the odometry takes it
+// for 0, as well as it knows: of j's word counts what is more than i's, which was of another vertical.
 struct Transition {
   Eigen::Vector3d dp_W = Eigen::Vector3d::Zero();
   Eigen::Matrix3d position_root = Eigen::Matrix3d::Identity();  // U with U^T U the inverse covariance of the first line
   StateVector decay = StateVector::Ones();                      // entries from kYaw on; 1: a random walk
   StateVector stddev = StateVector::Ones();                     // entries from kYaw on, > 0
   Eigen::Vector2d lean_change = Eigen::Vector2d::Zero();        // rad, in j's axes
+  double lean_known = 0;                                        // 1/rad^2 per axis, by the odometry: what i's is at j,
+  double lean_gained = 0;                                       // and what has come to it
 };
 
 // How far a position moves with the vertical that it was found under, m/rad: of (east, north, up) by (east, north).
@@ -35,7 +38,7 @@ struct PositionMeasurement {
   Lever lever = Lever::Zero();
 };
 
-// What the perspective of the map's points says of the odometry's vertical: tilt - measured.
+// What the lie of the ground says of the odometry's vertical: tilt - measured.
 struct TiltMeasurement {
   Eigen::Vector2d tilt = Eigen::Vector2d::Zero();      // rad, about G's east and north axes
   Eigen::Matrix2d root = Eigen::Matrix2d::Identity();  // U with U^T U the inverse covariance

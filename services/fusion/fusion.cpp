@@ -108,6 +108,7 @@ Outcome Fusion::add_keyframe(const Keyframe& keyframe) {
   } else if (!waypoints_.empty()) {
     clean.accel_bias = waypoints_.rbegin()->second.keyframe.accel_bias;
   }
+  clean.lean_stddev = last_state_ ? last_state_->lean_stddev : kUnknown;
   // A covariance that is none would break the graph: better to know nothing.
   const Eigen::LLT<Matrix6d> llt(clean.relative_covariance);
   if (!clean.relative_covariance.allFinite() || llt.info() != Eigen::Success) {

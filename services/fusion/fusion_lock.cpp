@@ -166,8 +166,9 @@ void Fusion::lock(const std::vector<Sighting>& members) {
   const double scale_stddev = scale_stddev_at(next->second.keyframe);
   // The fixes' heading is the compass's, which has its own term in the graph.
   const double yaw_stddev = next->second.compass ? kAnyHeading : members.back().yaw_stddev;
-  stddev << kAnywhere, kAnywhere, kAnywhere, yaw_stddev, options_.edge.lean_stddev, options_.edge.lean_stddev,
-      scale_stddev, options_.compass.bias_stddev, shared_stddev(options_.fix);
+  stddev << kAnywhere, kAnywhere, kAnywhere, yaw_stddev, lean_stddev(options_.edge, next->second.keyframe),
+      lean_stddev(options_.edge, next->second.keyframe), scale_stddev, options_.compass.bias_stddev,
+      shared_stddev(options_.fix);
   graph_ = std::make_unique<PoseGraph>(options_);
   graph_->start(next->second.keyframe, guess, stddev);
   for (;;) {
@@ -208,9 +209,9 @@ bool Fusion::within_gate(const Sighting& sighting) const {
   return innovation.dot(covariance.llt().solve(innovation)) < limit;
 }
 
-// The perspective of the same ground seen again is no news: of a constant error that is forgotten over some way, a
-// sample at that way's share from the last tells as much as one in coth(share / 2) would that errs by itself. A fit of
-// few matches may end on its head and be sure of it, its position right all the same: such a tilt is left out.
+// The slope of the same ground seen again is no news: of a constant error that is forgotten over some way, a sample at
+// that way's share from the last tells as much as one in coth(share / 2) would that errs by itself. A wood's edge may be
+// taken for a slope, the position right all the same: a tilt that the graph cannot have is left out.
 void Fusion::add_tilt(const Sighting& sighting) {
   if (!sighting.fix.upright) return;
   const Upright& upright = *sighting.fix.upright;

@@ -119,6 +119,7 @@ Solution Fusion::located(const OdometryState& state, Solution solution) {
   here.q_W_B = q_W_B;
   here.height_above_ground = keyframe.height_above_ground;
   if (is_accel_bias(state.accel_bias)) here.accel_bias = state.accel_bias;
+  here.lean_stddev = state.lean_stddev;
   const Transition transition = transition_between(options_, keyframe, here, newest_.state.q_G_W());
   NodeState node = newest_.state;
   node.heading = yaw_of(q_W_B);  // the lean turns with the body
@@ -240,7 +241,7 @@ void Fusion::try_bridge() {
   guess.x.segment<3>(kPosition) += back;
   StateVector stddev = bridge_->covariance.diagonal().cwiseSqrt();
   stddev.segment<3>(kPosition).array() += scale_stddev_at(first) * back.norm();
-  stddev.segment<2>(kLean).setConstant(options_.edge.lean_stddev);
+  stddev.segment<2>(kLean).setConstant(lean_stddev(options_.edge, first));
   stddev(kScale) = scale_stddev_at(first);
   stddev.tail<3>() = shared_stddev(options_.fix);
   guess.x.tail<3>().setZero();

@@ -109,6 +109,8 @@ void FusionService::on_state(const vio_state_t& message) {
   state.v_W_B = vector_of(message.v_W_B);
   state.gyro_bias = vector_of(message.gyro_bias);
   state.accel_bias = vector_of(message.accel_bias);
+  const auto covariance = Eigen::Map<const Eigen::Matrix<double, 6, 6, Eigen::RowMajor>>(message.pose_covariance);
+  state.lean_stddev = std::sqrt(0.5 * covariance.diagonal().segment<2>(3).sum());
   const Fusion::Propagated propagated = fusion_.propagate(state);
   node_.health().add("states.received");
   if (propagated.outcome != Outcome::kUsed) {

@@ -11,7 +11,7 @@ struct EdgeOptions {
   double default_height = 150.0;        // m, where the height above ground is unknown
   double yaw_walk = 0.000122;           // rad per square root of a second
   bool use_odometry_covariance = true;  // in place of the above where the keyframe carries one, if it is larger
-  double lean_stddev = 0.0087;          // rad per axis, of the odometry's vertical, before anything has told it
+  double lean_stddev = 0.007;           // rad per axis, of the odometry's vertical, at least: its own word, if larger
   double scale_stddev = 0.02;           // of the odometry's scale, as a fraction
   double start_scale_stddev = 0.1;      // the same at the start of a session, when it is not settled yet
   double scale_time = 600.0;            // s, over which it forgets

@@ -31,6 +31,10 @@ double working_height(const EdgeOptions& edge, const Keyframe& keyframe) {
   return height >= 1.0 && height <= 1e5 ? height : edge.default_height;
 }
 
+double lean_stddev(const EdgeOptions& edge, const Keyframe& keyframe) {
+  return keyframe.lean_stddev > edge.lean_stddev ? keyframe.lean_stddev : edge.lean_stddev;  // NaN: unknown
+}
+
 Transition transition_between(const FusionOptions& options, const Keyframe& from, const Keyframe& to,
                               const Eigen::Quaterniond& q_G_W) {
   const EdgeOptions& edge = options.edge;
@@ -58,11 +62,12 @@ Transition transition_between(const FusionOptions& options, const Keyframe& from
     transition.stddev(index) = stddev * std::sqrt(std::max(1e-9, -std::expm1(-2.0 * ratio)));
   };
   transition.stddev(kYaw) = std::sqrt(yaw_variance);
-  // The accelerometer's bias walks; the odometry keeps up with it, so that the lean never becomes unlikelier than it
-  // was.
-  const double lean_walk = options.inertial.accel_walk / options.inertial.gravity / edge.lean_stddev;
-  forget(kLean, edge.lean_stddev, 0.5 * lean_walk * lean_walk * duration);
-  forget(kLean + 1, edge.lean_stddev, 0.5 * lean_walk * lean_walk * duration);
+  const double lean_before = std::pow(lean_stddev(edge, from), 2), lean_now = std::pow(lean_stddev(edge, to), 2);
+  const double walk_rate = options.inertial.accel_walk / options.inertial.gravity;  // rad/sqrt(s)
+  const double walked = std::max(lean_now - lean_before, walk_rate * walk_rate * duration);
+  transition.stddev.segment<2>(kLean).setConstant(std::sqrt(walked));
+  transition.lean_known = 1 / (lean_before + walked);
+  transition.lean_gained = std::max(0.0, 1 / lean_now - transition.lean_known);
   // What the odometry now takes for the bias it no longer takes for gravity.
   const Eigen::Vector3d learnt =
       Eigen::AngleAxisd(-yaw_of(to.q_W_B), Eigen::Vector3d::UnitZ()) * (to.q_W_B * (to.accel_bias - from.accel_bias));

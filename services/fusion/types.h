@@ -29,6 +29,7 @@ struct OdometryState {
   Eigen::Vector3d v_W_B = Eigen::Vector3d::Zero();       // m/s; NaN: unknown
   Eigen::Vector3d gyro_bias = Eigen::Vector3d::Zero();   // rad/s, in B
   Eigen::Vector3d accel_bias = Eigen::Vector3d::Zero();  // m/s^2, in B
+  double lean_stddev = kUnknown;                         // rad per axis, of W's "up" by its own word; NaN: unknown
 };
 
 // A keyframe of the odometry: one node of the graph.
@@ -41,18 +42,19 @@ struct Keyframe {
   double height_above_ground = kUnknown;  // m, of B over the tracked points; NaN: unknown
   // m/s^2, in B, as the odometry has it by then; only its changes within a session matter.
   Eigen::Vector3d accel_bias = Eigen::Vector3d::Constant(kUnknown);  // NaN: unknown
+  double lean_stddev = kUnknown;  // rad per axis, of W's "up" by the odometry's own word by then; NaN: unknown
   // Of the pose relative to keyframe id - 1: (position in the previous B, rotation vector in this B); NaN: unknown.
   Matrix6d relative_covariance = Matrix6d::Constant(kUnknown);
 };
 
 // How a fix depends on the vertical that it was found under: what it would be under the odometry's own, and what the
-// perspective of the map's points says of that. All in G; tilts are rotation vectors about east and north, rad.
+// lie of the ground says of that. All in G; tilts are rotation vectors about east and north, rad.
 struct Upright {
   Eigen::Vector3d p_G_B = Eigen::Vector3d::Zero();       // m, less the fix's position
   Eigen::Matrix3d covariance = Eigen::Matrix3d::Zero();  // m^2, of the matches alone
   Eigen::Matrix<double, 3, 2> lever =
       Eigen::Matrix<double, 3, 2>::Zero();         // m/rad: p_G_B is off by this times the true tilt
-  Eigen::Vector2d tilt = Eigen::Vector2d::Zero();  // R_G_B = Exp(tilt) R_odometry, by the matches alone
+  Eigen::Vector2d tilt = Eigen::Vector2d::Zero();  // R_G_B = Exp(tilt) R_odometry, by the ground alone
   Eigen::Matrix2d tilt_covariance = Eigen::Matrix2d::Zero();
 };
 

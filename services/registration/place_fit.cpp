@@ -10,6 +10,7 @@
 #include "common/math/so3.h"
 #include "common/math/statistics.h"
 #include "services/registration/dot_products.h"
+#include "services/registration/ground_slope.h"
 
 namespace orthonav::registration {
 namespace {
@@ -265,47 +266,6 @@ PlaceFit fit_place(const std::vector<const View*>& views, const MapIndex& index,
   return fit;
 }
 
-namespace {
-
-// What the odometry's vertical is off by, and how well that is known.
-struct TiltBelief {
-  Eigen::Vector2d tilt = Eigen::Vector2d::Zero();        // rad, about east and north
-  Eigen::Matrix2d covariance = Eigen::Matrix2d::Zero();  // rad^2
-};
-
-// By how the ground lies: the odometry's points on it slope against the map's by what its vertical is off by.
-// `offsets_G` are theirs from the body under the odometry's vertical, m, and `rises` how far above the level of the
-// ground they lie under it. An elevation model's error goes on as far as its points lie about; that of a point's depth
-// is its own.
-TiltBelief tilt_of_ground(const std::vector<Eigen::Vector3d>& offsets_G, const std::vector<double>& rises,
-                          double height, double matches_per_point, double ground_height_stddev) {
-  constexpr int kIterations = 5;
-  // Of the level, and of the tilt: (tilt x offset) in height.
-  const auto row = [&](size_t i) { return Eigen::Vector3d(1, offsets_G[i].y(), -offsets_G[i].x()); };
-  Eigen::Vector3d plane = Eigen::Vector3d::Zero();
-  Eigen::Matrix3d moments;
-  double variance = 0, weights = 0;
-  for (int iteration = 0; iteration < kIterations; ++iteration) {
-    moments = 1e-9 * Eigen::Matrix3d::Identity();
-    Eigen::Vector3d sums = Eigen::Vector3d::Zero();
-    variance = weights = 0;
-    for (size_t i = 0; i < rises.size(); ++i) {
-      const double rise = rises[i] + row(i).dot(plane);
-      const double weight = GroundLevel::above(rise, height).on_the_ground;
-      moments += weight * row(i) * row(i).transpose();
-      sums += weight * row(i) * rises[i];
-      variance += weight * rise * rise;
-      weights += weight;
-    }
-    plane = moments.ldlt().solve(-sums);
-  }
-  variance /= std::max(1e-9, weights);
-  const double counted = matches_per_point * variance + weights * ground_height_stddev * ground_height_stddev;
-  return {plane.tail<2>(), (counted * moments.inverse()).bottomRightCorner<2, 2>()};
-}
-
-}  // namespace
-
 FittedPose fit_pose(const std::vector<const View*>& views, const PlaceFit& fit, const FitPrior& prior,
                     const ScaleBelief& scale_before, const FitOptions& options, GroundLevel& ground) {
   FittedPose result;
@@ -442,8 +402,8 @@ FittedPose fit_pose(const std::vector<const View*>& views, const PlaceFit& fit, 
   upright.lever = (inverse * with_tilt).topRows<3>();
   const Eigen::Matrix3d R_G_W = Eigen::AngleAxisd(turn, Eigen::Vector3d::UnitZ()).matrix();
   for (size_t i = 0; i < inliers.size(); ++i) offsets[i] = scaled * (R_G_W * offsets[i]);
-  const TiltBelief slope = tilt_of_ground(offsets, rises, keyframe.height_above_ground,
-                                          static_cast<double>(views.size()), options.ground_height_stddev);
+  const GroundSlope slope = slope_of_ground(offsets, rises, keyframe.height_above_ground,
+                                            static_cast<double>(views.size()), options.ground_height_stddev);
   upright.tilt = slope.tilt;
   upright.tilt_covariance = slope.covariance;
   // The ground's word on the vertical, weighed against the odometry's.

@@ -22,8 +22,8 @@
 // tilt (which trades against the accelerometer's bias) and about the ground, 0.2 m at 110 m: a jump that is no motion
 // and that relative_covariance does not describe. So newest() and keyframe() are given with respect to the last
 // published keyframe, at the pose it was published with: the relative pose of consecutive keyframes is the window's
-// own, and only the tilt is led back to gravity, over `tilt_return_time`. A start whose scale turns out to have been
-// wrong is published anew, as a new session, from the window as it is then.
+// own, and only the tilt is led back to gravity, over `tilt_return_time`, and the accelerometer's bias with it. A start
+// whose scale turns out to have been wrong is published anew, as a new session, from the window as it is then.
 //
 // Knows no images and no middleware. Not thread-safe; deterministic.
 #pragma once

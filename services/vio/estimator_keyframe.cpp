@@ -40,6 +40,9 @@ StateValues Estimator::as_published(const StateValues& state) const {
   result.p() = q_P_W_ * state.p() + p_P_W_;
   result.v() = q_P_W_ * state.v();
   result.q() = q_P_W_ * state.q();
+  // Whoever integrates the IMU from this attitude wants the bias that goes with it.
+  const Eigen::Vector3d up = Eigen::Vector3d::UnitZ();
+  result.ba() += options_.gravity * (state.q().conjugate() * up - result.q().conjugate() * up);
   return result;
 }
 
@@ -132,6 +135,9 @@ void Estimator::update_covariance(const NormalEquations& equations, Keyframe& ke
   const Eigen::Vector3d astray = behind.cross(newest_.v());
   velocity_covariance_ += astray * astray.transpose();
   bias_covariance_ = joint.bottomRightCorner<6, 6>();
+  const Eigen::Vector3d of_gravity =
+      options_.gravity * (newest_.q().conjugate() * behind.cross(Eigen::Vector3d::UnitZ()));
+  bias_covariance_.topLeftCorner<3, 3>() += of_gravity * of_gravity.transpose();
   if (previous.keyframe_id == keyframe.id - 1 && previous.keyframe_id >= 0) {
     Eigen::Matrix<double, 6, 12> J = Eigen::Matrix<double, 6, 12>::Zero();
     J.block<3, 3>(0, 0) = -R_prev.transpose();

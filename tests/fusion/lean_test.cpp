@@ -52,6 +52,65 @@ TEST(Lean, ChangesByWhatTheOdometryLearnsOfTheAccelerometer) {
   EXPECT_EQ(transition_between(FusionOptions{}, before, after, Eigen::Quaterniond::Identity()).lean_change.norm(), 0.0);
 }
 
+// The odometry takes its vertical for right at each keyframe: what it knows of the newest, and no sum of what it knew.
+TEST(Lean, IsByTheOdometrysNewestWordWhereNothingElseIsKnown) {
+  const FusionOptions options;
+  PoseGraph graph(options);
+  Keyframe keyframe;
+  keyframe.height_above_ground = 100.0;
+  keyframe.accel_bias.setZero();
+  keyframe.lean_stddev = 0.03;
+  StateVector stddev = StateVector::Constant(1.0);
+  stddev.segment<2>(kLean).setConstant(keyframe.lean_stddev);
+  graph.start(keyframe, {}, stddev);
+  // It learns 0.15 m/s2 of its bias, doubts itself again, and learns more.
+  for (const double known : {0.03, 0.02, 0.01, 0.025, 0.012}) {
+    ++keyframe.id;
+    keyframe.utime += 1'000'000;
+    keyframe.accel_bias += Eigen::Vector3d(0.03, -0.02, 0.0);
+    keyframe.lean_stddev = known;
+    graph.append(keyframe);
+    graph.solve();
+    const Estimate estimate = graph.estimate(keyframe.id);
+    EXPECT_LT(estimate.state.lean().norm(), 1e-9) << known;
+    EXPECT_NEAR(std::sqrt(estimate.covariance(kLean, kLean)), known, 1e-6);
+    EXPECT_NEAR(std::sqrt(estimate.covariance(kLean + 1, kLean + 1)), known, 1e-6);
+  }
+  // And no better than the configuration has it, or where it does not say.
+  for (const double word : {1e-4, kUnknown}) {
+    ++keyframe.id;
+    keyframe.utime += 1'000'000;
+    keyframe.lean_stddev = word;
+    graph.append(keyframe);
+    EXPECT_NEAR(std::sqrt(graph.estimate(keyframe.id).covariance(kLean, kLean)), options.edge.lean_stddev, 1e-6);
+  }
+}
+
+// What fixes have told of the lean is carried along as the odometry changes its mind, and weighed against its word.
+TEST(Lean, ThatFixesHaveToldIsCarriedAlong) {
+  const FusionOptions options;
+  PoseGraph graph(options);
+  Keyframe keyframe;
+  keyframe.height_above_ground = 100.0;
+  keyframe.accel_bias.setZero();
+  keyframe.lean_stddev = 0.02;
+  StateVector stddev = StateVector::Constant(1.0);
+  stddev.segment<2>(kLean).setConstant(keyframe.lean_stddev);
+  graph.start(keyframe, {}, stddev);
+  graph.add_tilt(0, {0.012, 0.0}, 0.01 * 0.01 * Eigen::Matrix2d::Identity());
+  keyframe.id = 1;
+  keyframe.utime = 1000;
+  keyframe.accel_bias = Eigen::Vector3d(0.0, 0.01 * options.inertial.gravity, 0.0);  // the lean changes by 0.01 about x
+  keyframe.lean_stddev = 0.015;
+  graph.append(keyframe);
+  graph.solve();
+  // Of the fix 0.022 to 0.01, of the odometry 0 to 0.015.
+  const double of_fix = 1 / (0.01 * 0.01), of_odometry = 1 / (0.015 * 0.015);
+  const Estimate estimate = graph.estimate(1);
+  EXPECT_NEAR(estimate.state.lean().x(), 0.022 * of_fix / (of_fix + of_odometry), 1e-5);
+  EXPECT_NEAR(estimate.covariance(kLean, kLean), 1 / (of_fix + of_odometry), 1e-7);
+}
+
 TEST(Lean, MovesAFixOverThePointsThatItSees) {
   // Leaning to the east and thought upright: the point under the body is seen to the west, or the body east of it.
   const double height = 285.0;
@@ -177,15 +236,16 @@ TEST(Lean, IsKnownFromWayAndNotFromLookingOften) {
   SyntheticOptions options = high();
   options.fix_rate = 1.0;
   options.fix_stddev = options.fix_vertical_stddev = 100.0;
-  options.perspective_stddev = 0.0087;
+  const double stddev = FusionOptions{}.edge.lean_stddev;
+  options.perspective_stddev = stddev;
   const SyntheticFlight flight = make_flight(options, 1);
   const double often = known_lean(flight, 1), seldom = known_lean(flight, 6);
   EXPECT_NEAR(often / seldom, 1.0, 0.1);
   // Of 700 m of way, twice what is forgotten of it is worth one fix, and so are the first one and the prior; the
   // robust loss and the lean's own walk take something of it.
   const double worth = 2.0 + 700.0 / (2.0 * 0.25 * 285.0);
-  EXPECT_GT(often, 0.0087 / std::sqrt(worth));
-  EXPECT_LT(often, 1.25 * 0.0087 / std::sqrt(worth));
+  EXPECT_GT(often, stddev / std::sqrt(worth));
+  EXPECT_LT(often, 1.3 * stddev / std::sqrt(worth));
 }
 
 }  // namespace
