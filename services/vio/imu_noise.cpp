@@ -3,6 +3,8 @@
 #include <algorithm>
 #include <cmath>
 
+#include <fmt/format.h>
+
 namespace orthonav::vio {
 
 ImuNoise ImuVariances::applied_to(ImuNoise sheet) const {
@@ -21,6 +23,18 @@ ImuVariances ImuNoiseMeter::heard(const Vector15& residual, const Vector15& unkn
     return variance * std::min(kMostOfOne, left / 3);
   };
   return {part(3, integrated_with.gyro), part(6, integrated_with.accel)};
+}
+
+std::string notice_of(const ImuVariances& variances) {
+  constexpr double kNotable = 3;  // airframes shake a sensor by up to so much
+  const double gyro = std::sqrt(variances.gyro), accel = std::sqrt(variances.accel);
+  std::string notice;
+  if (gyro > kNotable) notice = fmt::format("the gyroscope is {:.0f} times as noisy as imu.gyro_noise says", gyro);
+  if (accel > kNotable) {
+    notice += fmt::format("{}the accelerometer is {:.0f} times as noisy as imu.accel_noise says",
+                          notice.empty() ? "" : ", ", accel);
+  }
+  return notice;
 }
 
 void ImuNoiseMeter::see(const std::vector<ImuSample>& samples, const ImuNoise& sheet) {

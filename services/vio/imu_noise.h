@@ -8,6 +8,7 @@
 // Not thread-safe; a value.
 #pragma once
 
+#include <string>
 #include <vector>
 
 #include <Eigen/Core>
@@ -23,6 +24,9 @@ struct ImuVariances {
   ImuNoise applied_to(ImuNoise sheet) const;
   bool operator==(const ImuVariances&) const = default;
 };
+
+// What a pilot should know of them; empty while the sensor is about what its data sheet says.
+std::string notice_of(const ImuVariances& variances);
 
 class ImuNoiseMeter {
  public:

@@ -252,6 +252,7 @@ std::optional<VioOutput> Vio::next() {
     output.session = session_;
     output.status = estimator_.status();
     output.reason = estimator_.reason();
+    output.notice = notice_of(estimator_.imu_variances());
     if (!calibration_.complaint().empty()) {
       output.reason = "calibration: " + calibration_.complaint();
     } else if (output.status == Estimator::Status::kInitialising && !restart_reason_.empty()) {

@@ -31,6 +31,7 @@ struct VioOutput {
   int session = 1;
   Estimator::Status status = Estimator::Status::kInitialising;
   std::string reason;              // why initialising or degraded; why the last session ended, at a restart
+  std::string notice;              // what is not as it was declared to be, and is made do with; empty: nothing
   StateValues state;               // meaningful unless initialising
   double height_above_ground = 0;  // m, NaN: unknown
   Eigen::Matrix<double, 6, 6> pose_covariance;  // as in vio_state_t

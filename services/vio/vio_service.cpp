@@ -239,7 +239,7 @@ void VioService::update_health(const VioOutput& output) {
       break;
     case Status::kTracking:
       if (output.reason.empty()) {
-        health.set_state(Health::State::kOk);
+        health.set_state(Health::State::kOk, output.notice);
       } else {
         health.set_state(Health::State::kDegraded, output.reason);
       }

@@ -70,5 +70,14 @@ TEST(ImuNoiseMeter, HearsNothingWhereNothingIsKnown) {
   EXPECT_NEAR(heard.accel, with.accel, 1e-12);
 }
 
+TEST(ImuNoise, IsSaidWhereItIsFarFromTheDataSheets) {
+  EXPECT_EQ(notice_of({1, 1}), "");
+  EXPECT_EQ(notice_of({4, 8}), "");
+  EXPECT_EQ(notice_of({100, 1}), "the gyroscope is 10 times as noisy as imu.gyro_noise says");
+  EXPECT_EQ(notice_of({25, 100}),
+            "the gyroscope is 5 times as noisy as imu.gyro_noise says, the accelerometer is 10 times as noisy as "
+            "imu.accel_noise says");
+}
+
 }  // namespace
 }  // namespace orthonav::vio
