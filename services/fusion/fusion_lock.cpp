@@ -210,8 +210,8 @@ bool Fusion::within_gate(const Sighting& sighting) const {
 }
 
 // The slope of the same ground seen again is no news: of a constant error that is forgotten over some way, a sample at
-// that way's share from the last tells as much as one in coth(share / 2) would that errs by itself. A wood's edge may be
-// taken for a slope, the position right all the same: a tilt that the graph cannot have is left out.
+// that way's share from the last tells as much as one in coth(share / 2) would that errs by itself. A wood's edge may
+// be taken for a slope, the position right all the same: a tilt that the graph cannot have is left out.
 void Fusion::add_tilt(const Sighting& sighting) {
   if (!sighting.fix.upright) return;
   const Upright& upright = *sighting.fix.upright;

@@ -34,8 +34,8 @@ constexpr double kWrongRange = 150;  // m
 constexpr double kFurthest = 6;  // standard deviations beyond which the ground's own density is nothing
 
 // What a lift errs by, m: the map's heights from place to place, and the odometry's vertical (0.3 degrees) over the
-// points' distances. Depths are known to 0.0003-0.0005 of the height. Taken for five times as much, what is low (houses,
-// bushes) was ground, and levels were 1-2 m too low at 285 m.
+// points' distances. Depths are known to 0.0003-0.0005 of the height. Taken for five times as much, what is low
+// (houses, bushes) was ground, and levels were 1-2 m too low at 285 m.
 double stddev_at(double height) {
   return std::hypot(0.7, 0.002 * height);
 }
