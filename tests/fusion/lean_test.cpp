@@ -52,17 +52,23 @@ TEST(Lean, ChangesByWhatTheOdometryLearnsOfTheAccelerometer) {
   EXPECT_EQ(transition_between(FusionOptions{}, before, after, Eigen::Quaterniond::Identity()).lean_change.norm(), 0.0);
 }
 
+// The first keyframe of a graph, whose odometry knows its vertical so well.
+Keyframe started(PoseGraph& graph, double lean_stddev) {
+  Keyframe keyframe;
+  keyframe.height_above_ground = 100.0;
+  keyframe.accel_bias.setZero();
+  keyframe.lean_stddev = lean_stddev;
+  StateVector stddev = StateVector::Constant(1.0);
+  stddev.segment<2>(kLean).setConstant(lean_stddev);
+  graph.start(keyframe, {}, stddev);
+  return keyframe;
+}
+
 // The odometry takes its vertical for right at each keyframe: what it knows of the newest, and no sum of what it knew.
 TEST(Lean, IsByTheOdometrysNewestWordWhereNothingElseIsKnown) {
   const FusionOptions options;
   PoseGraph graph(options);
-  Keyframe keyframe;
-  keyframe.height_above_ground = 100.0;
-  keyframe.accel_bias.setZero();
-  keyframe.lean_stddev = 0.03;
-  StateVector stddev = StateVector::Constant(1.0);
-  stddev.segment<2>(kLean).setConstant(keyframe.lean_stddev);
-  graph.start(keyframe, {}, stddev);
+  Keyframe keyframe = started(graph, 0.03);
   // It learns 0.15 m/s2 of its bias, doubts itself again, and learns more.
   for (const double known : {0.03, 0.02, 0.01, 0.025, 0.012}) {
     ++keyframe.id;
@@ -90,13 +96,7 @@ TEST(Lean, IsByTheOdometrysNewestWordWhereNothingElseIsKnown) {
 TEST(Lean, ThatFixesHaveToldIsCarriedAlong) {
   const FusionOptions options;
   PoseGraph graph(options);
-  Keyframe keyframe;
-  keyframe.height_above_ground = 100.0;
-  keyframe.accel_bias.setZero();
-  keyframe.lean_stddev = 0.02;
-  StateVector stddev = StateVector::Constant(1.0);
-  stddev.segment<2>(kLean).setConstant(keyframe.lean_stddev);
-  graph.start(keyframe, {}, stddev);
+  Keyframe keyframe = started(graph, 0.02);
   graph.add_tilt(0, {0.012, 0.0}, 0.01 * 0.01 * Eigen::Matrix2d::Identity());
   keyframe.id = 1;
   keyframe.utime = 1000;
