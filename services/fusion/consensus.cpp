@@ -34,17 +34,19 @@ double disagreement(const Sighting& a, const Sighting& b, const FusionOptions& o
   Eigen::Vector3d shared = shared_stddev(options.fix).cwiseAbs2();
   shared.head<2>() *= forgotten(options.fix.shared_distance);
   shared.z() *= forgotten(options.fix.shared_vertical_distance);
-  // So does the lean, the less the more the body has turned.
-  const auto turned = [&](const Sighting& s) -> Lever {
-    return s.lever * Eigen::Rotation2Dd(yaw + yaw_of(s.keyframe.q_W_B)).toRotationMatrix();
-  };
-  const Lever lean = options.edge.lean_stddev * (turned(b) - turned(a));
+  // So does the lean, but for the way, which it tilts, and for what the odometry has levelled between the two: the one
+  // that leans more has been found further off.
+  const Lever tilts_way = -skew(moved).leftCols<2>();
+  const double lean_stddev =
+      std::max(stddev_of_lean(options.edge, a.keyframe), stddev_of_lean(options.edge, b.keyframe));
+  const Lever lean = lean_stddev * (b.lever - a.lever - tilts_way);
+  const Eigen::Vector2d more = Eigen::Rotation2Dd(yaw) * (a.keyframe.levelled - b.keyframe.levelled);
   const double scale_stddev = std::max(a.scale_stddev, b.scale_stddev);
   Eigen::Matrix3d covariance = a.covariance + b.covariance + yaw_stddev * yaw_stddev * sideways * sideways.transpose() +
                                scale_stddev * scale_stddev * moved * moved.transpose();
   covariance.diagonal() += shared;
   covariance += lean * lean.transpose();
-  const Eigen::Vector3d error = (b.p_G_B - a.p_G_B) - moved;
+  const Eigen::Vector3d error = (b.p_G_B - a.p_G_B) - moved - b.lever * more;
   return error.dot(covariance.llt().solve(error));
 }
 

@@ -1,10 +1,13 @@
 // What fixes are wrong by, each effect once: docs/fusion.md has the table.
 #pragma once
 
+#include <algorithm>
+
 #include <Eigen/Core>
 
 #include "services/fusion/factors.h"
 #include "services/fusion/options.h"
+#include "services/fusion/types.h"
 
 namespace orthonav::fusion {
 
@@ -21,10 +24,17 @@ inline Eigen::Vector3d shared_stddev(const FixOptions& fix) {
   return {fix.shared_horizontal_stddev, fix.shared_horizontal_stddev, fix.shared_vertical_stddev};
 }
 
-// Of all that neighbouring fixes are off by, of one by itself.
-inline Eigen::Matrix3d shared_covariance(const FusionOptions& options, const Lever& lever) {
+// How well the odometry knows its vertical at a keyframe, rad per axis.
+inline double stddev_of_lean(const EdgeOptions& edge, const Keyframe& keyframe) {
+  const double word = keyframe.lean_stddev > 0 ? keyframe.lean_stddev : edge.lean_stddev;  // NaN: unknown
+  return std::max(word, edge.turn_walk);  // nobody knows it better than gyroscopes carry it for a second
+}
+
+// Of all that neighbouring fixes are off by, of one by itself that moves with the vertical of its keyframe by `lever`.
+inline Eigen::Matrix3d shared_covariance(const FusionOptions& options, const Keyframe& keyframe, const Lever& lever) {
+  const double lean_stddev = stddev_of_lean(options.edge, keyframe);
   Eigen::Matrix3d covariance = shared_stddev(options.fix).cwiseAbs2().asDiagonal();
-  return covariance + options.edge.lean_stddev * options.edge.lean_stddev * lever * lever.transpose();
+  return covariance + lean_stddev * lean_stddev * lever * lever.transpose();
 }
 
 }  // namespace orthonav::fusion

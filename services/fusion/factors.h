@@ -14,17 +14,17 @@ namespace orthonav::fusion {
 
 // Motion from node i to node j: equations (12) and (13) with the odometry's scale and lean,
 //   p_j - p_i - exp(scale_i) R_G_W,i dp_W,
-// while each of the other variables x decays towards 0 or walks: x_j - decay x_i. The lean follows what the odometry
-// has changed its mind by about the accelerometer: lean_j - lean_i - lean_change. At either node the odometry takes it
-// for 0, as well as it knows: of j's word counts what is more than i's, which was of another vertical.
+// while each of the other variables x decays towards 0 or walks: x_j - decay x_i. The lean changes as the odometry
+// levels its attitude: lean_j - lean_i - lean_change. At either node the odometry takes it for 0, as well as it knows:
+// j's word takes the place of i's.
 struct Transition {
   Eigen::Vector3d dp_W = Eigen::Vector3d::Zero();
   Eigen::Matrix3d position_root = Eigen::Matrix3d::Identity();  // U with U^T U the inverse covariance of the first line
   StateVector decay = StateVector::Ones();                      // entries from kYaw on; 1: a random walk
   StateVector stddev = StateVector::Ones();                     // entries from kYaw on, > 0
-  Eigen::Vector2d lean_change = Eigen::Vector2d::Zero();        // rad, in j's axes
+  Eigen::Vector2d lean_change = Eigen::Vector2d::Zero();        // rad
   double lean_known = 0;                                        // 1/rad^2 per axis, by the odometry: what i's is at j,
-  double lean_gained = 0;                                       // and what has come to it
+  double lean_gained = 0;                                       // and what has come to it; negative: it doubts itself
 };
 
 // How far a position moves with the vertical that it was found under, m/rad: of (east, north, up) by (east, north).

@@ -81,7 +81,10 @@ void Fusion::leave_map() {
 }
 
 Outcome Fusion::add_keyframe(const Keyframe& keyframe) {
-  if (!is_pose(keyframe.p_W_B, keyframe.q_W_B) || keyframe.session < 0 || keyframe.id < 0) return Outcome::kBadNumber;
+  if (!is_pose(keyframe.p_W_B, keyframe.q_W_B) || !is_levelled(keyframe.levelled) || keyframe.session < 0 ||
+      keyframe.id < 0) {
+    return Outcome::kBadNumber;
+  }
   go_on(keyframe.session, keyframe.utime, keyframe.p_W_B);
   if (keyframe.session < session_) return Outcome::kOldSession;
   if (keyframe.session > session_) {
@@ -102,12 +105,6 @@ Outcome Fusion::add_keyframe(const Keyframe& keyframe) {
   Waypoint waypoint{keyframe, compass_near(keyframe.utime)};
   Keyframe& clean = waypoint.keyframe;
   clean.q_W_B.normalize();
-  // The newest that is known: what was missed comes with the next.
-  if (last_state_ && is_accel_bias(last_state_->accel_bias)) {
-    clean.accel_bias = last_state_->accel_bias;
-  } else if (!waypoints_.empty()) {
-    clean.accel_bias = waypoints_.rbegin()->second.keyframe.accel_bias;
-  }
   clean.lean_stddev = last_state_ ? last_state_->lean_stddev : kUnknown;
   // A covariance that is none would break the graph: better to know nothing.
   const Eigen::LLT<Matrix6d> llt(clean.relative_covariance);
@@ -154,7 +151,7 @@ bool Fusion::resume(const Memory& memory) {
   const bool numbers = is_pose(keyframe.p_W_B, keyframe.q_W_B) && is_place(memory.anchor) &&
                        estimate.state.x.allFinite() && estimate.state.p().norm() < kFarthest &&
                        std::abs(estimate.state.log_scale()) < 1.0 && estimate.covariance.allFinite() &&
-                       (keyframe.accel_bias.hasNaN() || is_accel_bias(keyframe.accel_bias));
+                       is_levelled(keyframe.levelled);
   if (!counts || !times || !numbers || estimate.covariance.llt().info() != Eigen::Success) return false;
   memory_ = memory;
   return true;

@@ -146,7 +146,7 @@ void Fusion::look_at_rivals() {
   const NodeState& there = graph_->state(last.keyframe.id);
   // Upright, as the graph takes its fixes; as an offset: it is carried along with the newest node.
   rival.p_G_B = last.p_G_B - last.lever * there.tilt() - there.p();
-  rival.covariance = last.covariance + shared_covariance(options_, last.lever);
+  rival.covariance = last.covariance + shared_covariance(options_, last.keyframe, last.lever);
   rival_ = rival;
   rival_utime_ = last.fix.utime;
   rival_fixes_ = static_cast<int>(rivals->members.size());
@@ -166,9 +166,9 @@ void Fusion::lock(const std::vector<Sighting>& members) {
   const double scale_stddev = scale_stddev_at(next->second.keyframe);
   // The fixes' heading is the compass's, which has its own term in the graph.
   const double yaw_stddev = next->second.compass ? kAnyHeading : members.back().yaw_stddev;
-  stddev << kAnywhere, kAnywhere, kAnywhere, yaw_stddev, lean_stddev(options_.edge, next->second.keyframe),
-      lean_stddev(options_.edge, next->second.keyframe), scale_stddev, options_.compass.bias_stddev,
-      shared_stddev(options_.fix);
+  const double lean_stddev = stddev_of_lean(options_.edge, next->second.keyframe);
+  stddev << kAnywhere, kAnywhere, kAnywhere, yaw_stddev, lean_stddev, lean_stddev, scale_stddev,
+      options_.compass.bias_stddev, shared_stddev(options_.fix);
   graph_ = std::make_unique<PoseGraph>(options_);
   graph_->start(next->second.keyframe, guess, stddev);
   for (;;) {

@@ -42,7 +42,7 @@ Fusion::Propagated Fusion::propagate(const OdometryState& state) {
   // A session that has begun does not initialise again: the odometry begins another one.
   if (!state.has_pose && last_state_) return refuse(Outcome::kOutOfOrder);
   if (state.has_pose) {
-    if (!is_pose(state.p_W_B, state.q_W_B)) return refuse(Outcome::kBadNumber);
+    if (!is_pose(state.p_W_B, state.q_W_B) || !is_levelled(state.levelled)) return refuse(Outcome::kBadNumber);
     const std::optional<OdometryState> last = last_state_;
     if (last && state.utime <= last->utime) return refuse(Outcome::kOutOfOrder);
     last_state_ = state;
@@ -118,11 +118,10 @@ Solution Fusion::located(const OdometryState& state, Solution solution) {
   here.p_W_B = state.p_W_B;
   here.q_W_B = q_W_B;
   here.height_above_ground = keyframe.height_above_ground;
-  if (is_accel_bias(state.accel_bias)) here.accel_bias = state.accel_bias;
+  here.levelled = state.levelled;
   here.lean_stddev = state.lean_stddev;
   const Transition transition = transition_between(options_, keyframe, here, newest_.state.q_G_W());
   NodeState node = newest_.state;
-  node.heading = yaw_of(q_W_B);  // the lean turns with the body
   node.x.segment<2>(kLean) += transition.lean_change;
   const double scale = std::exp(node.log_scale());
   const Eigen::Quaterniond q_G_W = node.q_G_W();
@@ -169,7 +168,7 @@ Solution Fusion::located(const OdometryState& state, Solution solution) {
   solution.position = frame_->to_geodetic(solution.p_G_B);
 
   odometry_utime_ = state.utime;
-  if (solution.v_G_B.allFinite() && state.gyro_bias.allFinite() && state.accel_bias.allFinite()) {
+  if (solution.v_G_B.allFinite() && state.gyro_bias.allFinite() && is_accel_bias(state.accel_bias)) {
     // An odometry that leans has taken so much of gravity for the accelerometer's bias: whoever is put upright gives it
     // back, or would fall sideways by gravity times the lean.
     const Eigen::Vector3d up = Eigen::Vector3d::UnitZ();
@@ -241,7 +240,7 @@ void Fusion::try_bridge() {
   guess.x.segment<3>(kPosition) += back;
   StateVector stddev = bridge_->covariance.diagonal().cwiseSqrt();
   stddev.segment<3>(kPosition).array() += scale_stddev_at(first) * back.norm();
-  stddev.segment<2>(kLean).setConstant(lean_stddev(options_.edge, first));
+  stddev.segment<2>(kLean).setConstant(stddev_of_lean(options_.edge, first));
   stddev(kScale) = scale_stddev_at(first);
   stddev.tail<3>() = shared_stddev(options_.fix);
   guess.x.tail<3>().setZero();

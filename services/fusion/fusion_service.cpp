@@ -109,6 +109,7 @@ void FusionService::on_state(const vio_state_t& message) {
   state.v_W_B = vector_of(message.v_W_B);
   state.gyro_bias = vector_of(message.gyro_bias);
   state.accel_bias = vector_of(message.accel_bias);
+  state.levelled = Eigen::Map<const Eigen::Vector2d>(message.levelled);
   const auto covariance = Eigen::Map<const Eigen::Matrix<double, 6, 6, Eigen::RowMajor>>(message.pose_covariance);
   state.lean_stddev = std::sqrt(0.5 * covariance.diagonal().segment<2>(3).sum());
   const Fusion::Propagated propagated = fusion_.propagate(state);
@@ -202,6 +203,7 @@ void FusionService::on_keyframe(const vio_keyframe_t& message) {
   keyframe.id = message.id;
   keyframe.p_W_B = vector_of(message.p_W_B);
   keyframe.q_W_B = quaternion_of(message.q_W_B);
+  keyframe.levelled = Eigen::Map<const Eigen::Vector2d>(message.levelled);
   keyframe.height_above_ground = message.height_above_ground;
   keyframe.relative_covariance = Eigen::Map<const RowMajor6>(message.relative_covariance);
   const Stopwatch watch(node_);

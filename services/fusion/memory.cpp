@@ -1,12 +1,11 @@
 #include "services/fusion/memory.h"
 
-#include "common/math/so3.h"
 #include "common/memory/memory_file.h"
 
 namespace orthonav::fusion {
 namespace {
 
-constexpr uint64_t kVersion = 0x6f6e61766d656d33;  // "onavmem3"
+constexpr uint64_t kVersion = 0x6f6e61766d656d34;  // "onavmem4"
 constexpr size_t kIntegers = 7;
 constexpr size_t kReals = 14 + kStates + kStates * kStates;
 
@@ -21,7 +20,8 @@ bool write_memory(const std::filesystem::path& file, const Memory& memory) {
   for (const double value : keyframe.p_W_B) put(value);
   for (const double value : keyframe.q_W_B.coeffs()) put(value);
   put(keyframe.height_above_ground);
-  for (const double value : keyframe.accel_bias) put(value);
+  for (const double value : keyframe.levelled) put(value);
+  put(keyframe.lean_stddev);
   for (const double value : {memory.anchor.latitude_deg, memory.anchor.longitude_deg, memory.anchor.height}) put(value);
   for (const double value : memory.estimate.state.x) put(value);
   for (const double value : memory.estimate.covariance.reshaped()) put(value);
@@ -45,13 +45,13 @@ std::optional<Memory> read_memory(const std::filesystem::path& file) {
   for (double& value : keyframe.p_W_B) value = take();
   for (double& value : keyframe.q_W_B.coeffs()) value = take();
   keyframe.height_above_ground = take();
-  for (double& value : keyframe.accel_bias) value = take();
+  for (double& value : keyframe.levelled) value = take();
+  keyframe.lean_stddev = take();
   for (double* value : {&memory.anchor.latitude_deg, &memory.anchor.longitude_deg, &memory.anchor.height}) {
     *value = take();
   }
   for (double& value : memory.estimate.state.x) value = take();
   for (double& value : memory.estimate.covariance.reshaped()) value = take();
-  memory.estimate.state.heading = yaw_of(keyframe.q_W_B);
   return memory;
 }
 

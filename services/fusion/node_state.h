@@ -1,12 +1,10 @@
 // The variables of one node of the graph: what is unknown about the aircraft at one keyframe.
 //
 // The odometry knows the motion between keyframes well, and four things badly: where its world W lies on the map, how
-// it is turned, its scale, and its vertical. The vertical is the accelerometer's, whose bias stays with the body: when
-// the aircraft turns, the error turns with it. So it is a lean of the body, and where W's "up" points depends on the
-// heading. The compass has a bias, and the map's fixes have an error that neighbours share (error_budget.h).
+// it is turned, its scale, and its vertical: W leans. The compass has a bias, and the map's fixes have an error that
+// neighbours share (error_budget.h).
 // All of it is one vector space, so a node needs no manifold: attitudes follow from it and the odometry's own,
-//   R_G_B = R_G_W R_W_B,   R_G_W = Rz(yaw + heading) Exp(lean_x, lean_y, 0) Rz(-heading),
-// with `heading` that of the body's x axis in W, counter-clockwise.
+//   R_G_B = R_G_W R_W_B,   R_G_W = Rz(yaw) Exp(lean_x, lean_y, 0).
 #pragma once
 
 #include <Eigen/Core>
@@ -21,14 +19,13 @@ using StateMatrix = Eigen::Matrix<double, kStates, kStates>;
 // Where each variable stands in the vector.
 inline constexpr int kPosition = 0;     // p_G_B, m (3)
 inline constexpr int kYaw = 3;          // of W in G, rad, counter-clockwise, not wrapped: the odometry's heading offset
-inline constexpr int kLean = 4;         // of the body in truth less that in W, about its x and y axes levelled, rad (2)
+inline constexpr int kLean = 4;         // of W, about its x and y axes, rad (2)
 inline constexpr int kScale = 6;        // logarithm of true displacement over the odometry's
 inline constexpr int kCompassBias = 7;  // compass's heading minus the true one, rad, clockwise
 inline constexpr int kShared = 8;       // what neighbouring fixes are all off by, in G, m (3); up: the vertical offset
 
 struct NodeState {
   StateVector x = StateVector::Zero();
-  double heading = 0.0;  // rad, counter-clockwise, of the body's x axis in W, as the odometry has it: not an unknown
 
   Eigen::Vector3d p() const { return x.segment<3>(kPosition); }
   double yaw() const { return x(kYaw); }

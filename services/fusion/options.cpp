@@ -19,7 +19,7 @@ void read_deg(ConfigNode& node, const char* key, double& radians, double high_de
 void read_edge(ConfigNode node, EdgeOptions& edge) {
   node.read("position_walk", edge.position_walk, 1e-7, 1.0);
   node.read("default_height", edge.default_height, 1.0, 1e5);
-  read_deg(node, "yaw_walk_deg", edge.yaw_walk, 90.0);
+  read_deg(node, "turn_walk_deg", edge.turn_walk, 90.0);
   node.read("use_odometry_covariance", edge.use_odometry_covariance);
   read_deg(node, "lean_stddev_deg", edge.lean_stddev, 20.0);
   node.read("scale_stddev", edge.scale_stddev, 1e-5, 1.0);
@@ -94,7 +94,6 @@ void read_aircraft(ConfigNode aircraft, FusionOptions& options) {
   imu.read("gravity", options.inertial.gravity, 9.0, 10.0);
   imu.read("accel_noise", options.inertial.accel_noise, 1e-9, 10.0);
   imu.read("gyro_noise", options.inertial.gyro_noise, 1e-9, 10.0);
-  imu.read("accel_walk", options.inertial.accel_walk, 1e-9, 10.0);
 }
 
 }  // namespace

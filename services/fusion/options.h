@@ -9,9 +9,9 @@ namespace orthonav::fusion {
 struct EdgeOptions {
   double position_walk = 6e-4;          // of the height above ground, per axis and square root of a second
   double default_height = 150.0;        // m, where the height above ground is unknown
-  double yaw_walk = 0.000122;           // rad per square root of a second
+  double turn_walk = 0.000122;          // rad per axis and square root of a second, of the odometry's attitude
   bool use_odometry_covariance = true;  // in place of the above where the keyframe carries one, if it is larger
-  double lean_stddev = 0.007;           // rad per axis, of the odometry's vertical, at least: its own word, if larger
+  double lean_stddev = 0.007;           // rad per axis, of the odometry's vertical where it does not say
   double scale_stddev = 0.02;           // of the odometry's scale, as a fraction
   double start_scale_stddev = 0.1;      // the same at the start of a session, when it is not settled yet
   double scale_time = 600.0;            // s, over which it forgets
@@ -68,7 +68,6 @@ struct InertialOptions {
   double gravity = 9.81;            // m/s^2; aircraft.yaml, imu
   double accel_noise = 2e-3;        // m/s^2/sqrt(Hz); aircraft.yaml, imu
   double gyro_noise = 1.7e-4;       // rad/s/sqrt(Hz); aircraft.yaml, imu
-  double accel_walk = 3e-3;         // m/s^3/sqrt(Hz), of the bias; aircraft.yaml, imu
   double accel_bias_stddev = 0.05;  // m/s^2, of the bias that the odometry gives
   double gyro_bias_stddev = 0.001;  // rad/s, of the bias that the odometry gives
   double max_gap = 0.05;            // s without a sample, beyond which the motion between is a guess: straight on,

@@ -18,6 +18,8 @@ inline constexpr double kLargestFixStddev = 1e4;   // m, of a fix that says anyt
 
 inline constexpr double kLargestAccelBias = 10.0;  // m/s^2: as large as gravity it is no bias
 
+inline constexpr double kLargestLevelled = 3.0;  // rad: about half a turn
+
 inline constexpr double kLargestHeading = 13.0;  // rad, two turns: of a compass
 
 inline double seconds_between(int64_t from, int64_t to) {
@@ -35,6 +37,11 @@ inline bool is_pose(const Eigen::Vector3d& p, const Eigen::Quaterniond& q) {
 // NaN is none.
 inline bool is_accel_bias(const Eigen::Vector3d& bias) {
   return bias.norm() < kLargestAccelBias;
+}
+
+// Further nothing is turned to be upright; NaN is none.
+inline bool is_levelled(const Eigen::Vector2d& levelled) {
+  return levelled.norm() < kLargestLevelled;
 }
 
 inline bool is_place(const Geodetic& place) {

@@ -31,10 +31,6 @@ double working_height(const EdgeOptions& edge, const Keyframe& keyframe) {
   return height >= 1.0 && height <= 1e5 ? height : edge.default_height;
 }
 
-double lean_stddev(const EdgeOptions& edge, const Keyframe& keyframe) {
-  return keyframe.lean_stddev > edge.lean_stddev ? keyframe.lean_stddev : edge.lean_stddev;  // NaN: unknown
-}
-
 Transition transition_between(const FusionOptions& options, const Keyframe& from, const Keyframe& to,
                               const Eigen::Quaterniond& q_G_W) {
   const EdgeOptions& edge = options.edge;
@@ -44,7 +40,7 @@ Transition transition_between(const FusionOptions& options, const Keyframe& from
   const double way = transition.dp_W.head<2>().norm();  // over ground: who climbs sees the same map all the while
   const double walk = edge.position_walk * working_height(edge, to);
   Eigen::Matrix3d covariance = walk * walk * duration * Eigen::Matrix3d::Identity();
-  double yaw_variance = edge.yaw_walk * edge.yaw_walk * duration;
+  double turn_variance = edge.turn_walk * edge.turn_walk * duration;
   if (edge.use_odometry_covariance && to.id == from.id + 1 && to.relative_covariance.allFinite()) {
     // The odometry's own word where it is the more modest one: its errors go on from edge to edge, which the graph
     // takes to be independent, and the figures of the configuration are those of whole stretches.
@@ -52,7 +48,7 @@ Transition transition_between(const FusionOptions& options, const Keyframe& from
     const Eigen::Vector3d up_Bj = to.q_W_B.conjugate() * Eigen::Vector3d::UnitZ();
     const Eigen::Matrix3d own = R_G_Bi * to.relative_covariance.topLeftCorner<3, 3>() * R_G_Bi.transpose();
     if (own.trace() > covariance.trace()) covariance = own;
-    yaw_variance = std::max(yaw_variance, up_Bj.dot(to.relative_covariance.bottomRightCorner<3, 3>() * up_Bj));
+    turn_variance = std::max(turn_variance, up_Bj.dot(to.relative_covariance.bottomRightCorner<3, 3>() * up_Bj));
   }
   transition.position_root = sqrt_information(covariance);
 
@@ -61,17 +57,11 @@ Transition transition_between(const FusionOptions& options, const Keyframe& from
     // At a hover nothing is forgotten; a term of the graph must still be finite.
     transition.stddev(index) = stddev * std::sqrt(std::max(1e-9, -std::expm1(-2.0 * ratio)));
   };
-  transition.stddev(kYaw) = std::sqrt(yaw_variance);
-  const double lean_before = std::pow(lean_stddev(edge, from), 2), lean_now = std::pow(lean_stddev(edge, to), 2);
-  const double walk_rate = options.inertial.accel_walk / options.inertial.gravity;  // rad/sqrt(s)
-  const double walked = std::max(lean_now - lean_before, walk_rate * walk_rate * duration);
-  transition.stddev.segment<2>(kLean).setConstant(std::sqrt(walked));
-  transition.lean_known = 1 / (lean_before + walked);
-  transition.lean_gained = std::max(0.0, 1 / lean_now - transition.lean_known);
-  // What the odometry now takes for the bias it no longer takes for gravity.
-  const Eigen::Vector3d learnt =
-      Eigen::AngleAxisd(-yaw_of(to.q_W_B), Eigen::Vector3d::UnitZ()) * (to.q_W_B * (to.accel_bias - from.accel_bias));
-  if (learnt.allFinite()) transition.lean_change = Eigen::Vector2d(learnt.y(), -learnt.x()) / options.inertial.gravity;
+  // Gyroscopes carry all three axes alike.
+  transition.stddev.segment<3>(kYaw).setConstant(std::sqrt(turn_variance));
+  transition.lean_change = from.levelled - to.levelled;
+  transition.lean_known = 1 / (std::pow(stddev_of_lean(edge, from), 2) + turn_variance);
+  transition.lean_gained = std::pow(stddev_of_lean(edge, to), -2) - transition.lean_known;
   forget(kScale, edge.scale_stddev, duration / edge.scale_time);
   forget(kCompassBias, options.compass.bias_stddev, duration / options.compass.bias_time);
   const Eigen::Vector3d shared = shared_stddev(options.fix);
@@ -93,7 +83,6 @@ void PoseGraph::start(const Keyframe& keyframe, const Estimate& known) {
   Node& node = nodes_.emplace_back();
   node.keyframe = keyframe;
   node.state = known.state;
-  node.state.heading = yaw_of(keyframe.q_W_B);
   node.prior.emplace();
   node.prior->point = known.state.x;
   node.prior->cost.H = inverse(known.covariance);
@@ -110,7 +99,6 @@ void PoseGraph::append(const Keyframe& keyframe) {
   node.keyframe = keyframe;
   node.tie = transition_between(options_, before.keyframe, keyframe, before.state.q_G_W());
   node.state = predict(*node.tie, before.state);
-  node.state.heading = yaw_of(keyframe.q_W_B);
   nodes_.push_back(std::move(node));
   relinearise_from(std::min(stale_from_, nodes_.size() - 1));
 }

@@ -32,9 +32,6 @@ struct Estimate {
 // Height that the odometry's errors grow with, m: it sees its way in pixels.
 double working_height(const EdgeOptions& edge, const Keyframe& keyframe);
 
-// How well the odometry knows its vertical at a keyframe, rad per axis.
-double lean_stddev(const EdgeOptions& edge, const Keyframe& keyframe);
-
 // The motion between two keyframes as the graph sees it; `q_G_W` turns the odometry's covariance into G.
 Transition transition_between(const FusionOptions& options, const Keyframe& from, const Keyframe& to,
                               const Eigen::Quaterniond& q_G_W);

@@ -29,6 +29,7 @@ struct OdometryState {
   Eigen::Vector3d v_W_B = Eigen::Vector3d::Zero();       // m/s; NaN: unknown
   Eigen::Vector3d gyro_bias = Eigen::Vector3d::Zero();   // rad/s, in B
   Eigen::Vector3d accel_bias = Eigen::Vector3d::Zero();  // m/s^2, in B
+  Eigen::Vector2d levelled = Eigen::Vector2d::Zero();    // rad, as in vio_state_t
   double lean_stddev = kUnknown;                         // rad per axis, of W's "up" by its own word; NaN: unknown
 };
 
@@ -39,9 +40,8 @@ struct Keyframe {
   int id = 0;  // counts from 0 within the session
   Eigen::Vector3d p_W_B = Eigen::Vector3d::Zero();
   Eigen::Quaterniond q_W_B = Eigen::Quaterniond::Identity();
-  double height_above_ground = kUnknown;  // m, of B over the tracked points; NaN: unknown
-  // m/s^2, in B, as the odometry has it by then; only its changes within a session matter.
-  Eigen::Vector3d accel_bias = Eigen::Vector3d::Constant(kUnknown);  // NaN: unknown
+  double height_above_ground = kUnknown;               // m, of B over the tracked points; NaN: unknown
+  Eigen::Vector2d levelled = Eigen::Vector2d::Zero();  // rad, as in vio_keyframe_t
   double lean_stddev = kUnknown;  // rad per axis, of W's "up" by the odometry's own word by then; NaN: unknown
   // Of the pose relative to keyframe id - 1: (position in the previous B, rotation vector in this B); NaN: unknown.
   Matrix6d relative_covariance = Matrix6d::Constant(kUnknown);

@@ -42,8 +42,8 @@ ScaleBelief with_odometry(const ScaleBelief& measured, double odometry_stddev) {
   return {mean, std::sqrt(std::max(1e-12, second / sum - mean * mean))};
 }
 
-KnownScale::KnownScale(double least_stddev, double widening, int most_misses)
-    : least_stddev_(least_stddev),
+KnownScale::KnownScale(double usual_stddev, double widening, int most_misses)
+    : usual_stddev_(usual_stddev),
       widening_(widening),
       most_misses_(most_misses),
       odometry_stddev_(std::numeric_limits<double>::quiet_NaN()) {
@@ -96,7 +96,7 @@ void KnownScale::ask_the_way(const std::vector<const View*>& views, size_t fitte
 
 double KnownScale::searched_stddev(bool everywhere, bool taught) const {
   // On the whole map more scales would be more chances for a wrong place.
-  if (everywhere) return fitted_ ? kLeastStddev : least_stddev_;
+  if (everywhere) return fitted_ ? kLeastStddev : usual_stddev_;
   if (!taught || may_have_changed()) return kLargestStddev;
   return std::clamp(expected_.stddev, kLeastStddev, kLargestStddev);
 }
@@ -117,7 +117,7 @@ bool KnownScale::may_have_changed() const {
 }
 
 double KnownScale::odometry_stddev() const {
-  return std::isfinite(odometry_stddev_) ? std::max(odometry_stddev_, least_stddev_) : least_stddev_;
+  return odometry_stddev_ > 0 ? odometry_stddev_ : usual_stddev_;  // NaN: unknown
 }
 
 // Where nothing was found of late the scale is as doubtful as the place, and the odometry says as much as the last fix.

@@ -25,9 +25,9 @@ ScaleBelief with_odometry(const ScaleBelief& measured, double odometry_stddev);
 
 class KnownScale {
  public:
-  // The odometry's scale is never believed to be better than `least_stddev`. A fix's deviation grows by `widening` with
-  // each keyframe without one, `most_misses` times at most.
-  KnownScale(double least_stddev, double widening, int most_misses);
+  // `usual_stddev`: of the odometry's scale where it does not say, and for which it is sought on the whole map. A fix's
+  // deviation grows by `widening` with each keyframe without one, `most_misses` times at most.
+  KnownScale(double usual_stddev, double widening, int most_misses);
 
   // A new session of the odometry: another scale.
   void forget();
@@ -63,7 +63,7 @@ class KnownScale {
   double odometry_stddev() const;
   void expect();
 
-  double least_stddev_, widening_;
+  double usual_stddev_, widening_;
   int most_misses_;
   double odometry_stddev_;                    // as heard; NaN: unknown
   std::optional<ScaleBelief> fitted_;         // by the newest fix, without the odometry's word

@@ -40,7 +40,7 @@ struct SubmapOptions {
   double min_radius = 15;         // m, and at least this
   double widening = 1.5;          // factor of the radius for each keyframe without a fix
   double second_distance = 15;    // m: places further from the best are other places
-  double scale_stddev = 0.025;    // of the odometry's scale, which is believed to be no better
+  double scale_stddev = 0.025;    // of the odometry's scale: sought on the whole map, and where it does not say
   AcceptanceOptions acceptance;
   int coarse_places = 12;  // of the coarse grid that are compared at full resolution
   EvidenceOptions evidence;

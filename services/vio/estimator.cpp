@@ -59,6 +59,7 @@ void Estimator::reset() {
   scale_stddev_ = std::numeric_limits<double>::quiet_NaN();
   q_P_W_.setIdentity();
   p_P_W_.setZero();
+  levelled_.setZero();
   newest_ = StateValues{};
   published_.reset();
   outliers_.clear();

@@ -100,6 +100,7 @@ struct Keyframe {
   int64_t utime = 0;
   int id = 0;
   StateValues state;
+  Eigen::Vector2d levelled{0, 0};                   // rad, as in vio_keyframe_t
   double height_above_ground = 0;                   // m, NaN: unknown
   Eigen::Matrix<double, 6, 6> relative_covariance;  // as in vio_keyframe_t; NaN: unknown
   double scale_stddev = 0;                          // relative, of the window; NaN: unknown
@@ -139,8 +140,9 @@ class Estimator {
   bool resume(const Memory& memory);
 
   Status status() const { return status_; }
-  const std::string& reason() const { return reason_; }  // why not yet initialised, degraded or failed
-  const StateValues& newest() const { return newest_; }  // as published
+  const std::string& reason() const { return reason_; }          // why not yet initialised, degraded or failed
+  const StateValues& newest() const { return newest_; }          // as published
+  const Eigen::Vector2d& levelled() const { return levelled_; }  // rad, of newest(), as in vio_state_t
   // Whether the last call of process() published the window anew: a new session, without a loss of tracking.
   bool rescaled() const { return rescaled_; }
   double time_offset() const { return shared_.state.time_offset[0]; }  // s
@@ -274,7 +276,7 @@ class Estimator {
   // The published world from the window's.
   Eigen::Quaterniond q_P_W_ = Eigen::Quaterniond::Identity();
   Eigen::Vector3d p_P_W_ = Eigen::Vector3d::Zero();
-  double tilt_step_ = 0;  // rad, by which the newest frame's attitude was led back to gravity
+  Eigen::Vector2d levelled_{0, 0};  // rad, of newest_
   StateValues newest_;
   std::optional<Keyframe> published_;
   std::set<int64_t> outliers_;

@@ -21,14 +21,13 @@ Eigen::Vector3d turn_upright(const Eigen::Quaterniond& q) {
 void Estimator::follow_published() {
   const Frame& newest = *frames_.back();
   const Frame& last = *frames_[frames_.size() - 2];
-  tilt_step_ = 0;
   if (last.keyframe_id >= 0) {
     const Eigen::Quaterniond q = last.published.q() * last.state.q().conjugate();
     // A part of it at a time.
     const Eigen::Vector3d tilt = turn_upright(q);
     const double part =
         1.0 - std::exp(-1e-6 * static_cast<double>(newest.utime - last.utime) / options_.tilt_return_time);
-    tilt_step_ = part * tilt.norm();
+    levelled_ = last.levelled + part * tilt.head<2>();
     q_P_W_ = (so3_exp(part * tilt) * q).normalized();
     p_P_W_ = last.published.p() - q_P_W_ * last.state.p();
   }
@@ -52,8 +51,8 @@ void Estimator::publish_keyframe() {
   Keyframe keyframe;
   keyframe.utime = newest.utime;
   keyframe.id = newest.keyframe_id;
-  newest.published = newest_;
-  keyframe.state = newest_;
+  newest.published = keyframe.state = newest_;
+  newest.levelled = keyframe.levelled = levelled_;
   keyframe.height_above_ground = height_;
   keyframe.relative_covariance.setConstant(std::numeric_limits<double>::quiet_NaN());
   keyframe.scale_stddev = std::numeric_limits<double>::quiet_NaN();
@@ -99,7 +98,7 @@ void Estimator::publish_anew() {
   rescaled_ = true;
   q_P_W_.setIdentity();
   p_P_W_.setZero();
-  tilt_step_ = 0;
+  levelled_.setZero();
   next_keyframe_id_ = 0;
   for (const auto& frame : frames_) {
     frame->keyframe_id = -1;
@@ -146,7 +145,9 @@ void Estimator::update_covariance(const NormalEquations& equations, Keyframe& ke
     J.block<3, 3>(3, 3) = -R_new.transpose() * R_prev;
     J.block<3, 3>(3, 9).setIdentity();
     keyframe.relative_covariance = J * joint.topLeftCorner<12, 12>() * J.transpose();
-    keyframe.relative_covariance.bottomRightCorner<3, 3>().diagonal().array() += tilt_step_ * tilt_step_;
+    const Eigen::Vector2d step = levelled_ - previous.levelled;
+    const Eigen::Vector3d step_B = newest_.q().conjugate() * Eigen::Vector3d(step.x(), step.y(), 0);
+    keyframe.relative_covariance.bottomRightCorner<3, 3>() += step_B * step_B.transpose();
   }
 }
 

@@ -73,7 +73,8 @@ struct Frame {
   int keyframe_id = -1;                     // -1: never published
   bool stationary = false;                  // a keyframe made because of time and not of motion
   double time_shift = 0;                    // s, time offset at which its IMU samples were cut
-  StateValues published;                    // of a published keyframe: what was told of it
+  StateValues published;                    // of a published keyframe: what was told of it,
+  Eigen::Vector2d levelled{0, 0};           // and by which turns in all, as in vio_state_t
   std::optional<Eigen::Vector3d> at_start;  // m, position in W when the session started with it
   std::optional<double> still_sigma;        // m/s: its velocity is zero to this
   bool at_rest = false;                     // the last one before a start that nothing had moved in

@@ -268,6 +268,7 @@ std::optional<VioOutput> Vio::next() {
     if (output.status != Estimator::Status::kInitialising) {
       restart_reason_.clear();
       output.state = estimator_.newest();
+      output.levelled = estimator_.levelled();
       output.keyframe = estimator_.keyframe();
       if (output.keyframe) output.keyframe->utime = image.utime;
       tracker_.drop(estimator_.outliers());

@@ -33,6 +33,7 @@ struct VioOutput {
   std::string reason;              // why initialising or degraded; why the last session ended, at a restart
   std::string notice;              // what is not as it was declared to be, and is made do with; empty: nothing
   StateValues state;               // meaningful unless initialising
+  Eigen::Vector2d levelled{0, 0};  // rad, as in vio_state_t; likewise
   double height_above_ground = 0;  // m, NaN: unknown
   Eigen::Matrix<double, 6, 6> pose_covariance;  // as in vio_state_t
   Eigen::Matrix3d velocity_covariance;          // likewise

@@ -154,6 +154,7 @@ void VioService::publish_state(const VioOutput& output, double processing_ms) {
       std::fill_n(field, 3, kUnknown);
     }
     std::fill_n(message.q_W_B, 4, kUnknown);
+    std::fill_n(message.levelled, 2, kUnknown);
     std::fill_n(message.pose_covariance, 36, kUnknown);
     std::fill_n(message.velocity_covariance, 9, kUnknown);
     message.scale_stddev = kUnknown;
@@ -165,6 +166,7 @@ void VioService::publish_state(const VioOutput& output, double processing_ms) {
     put(Eigen::Vector3d(output.state.v()), message.v_W_B);
     put(Eigen::Vector3d(output.state.bg()), message.gyro_bias);
     put(Eigen::Vector3d(output.state.ba()), message.accel_bias);
+    Eigen::Map<Eigen::Vector2d>{message.levelled} = output.levelled;
     put(output.pose_covariance, message.pose_covariance);
     Eigen::Map<Eigen::Matrix<double, 3, 3, Eigen::RowMajor>>{message.velocity_covariance} = output.velocity_covariance;
     message.scale_stddev = output.scale_stddev;
@@ -182,6 +184,7 @@ void VioService::publish_keyframe(const VioOutput& output) {
   put(Eigen::Vector3d(keyframe.state.p()), message.p_W_B);
   put(Eigen::Quaterniond(keyframe.state.q()), message.q_W_B);
   put(Eigen::Vector3d(keyframe.state.v()), message.v_W_B);
+  Eigen::Map<Eigen::Vector2d>{message.levelled} = keyframe.levelled;
   put(output.extrinsics.p_B_C, message.p_B_C);
   put(Eigen::Quaterniond(output.extrinsics.R_B_C), message.q_B_C);
   message.height_above_ground = keyframe.height_above_ground;

@@ -78,14 +78,13 @@ int main(int argc, char** argv) {
   SyntheticOptions model = rural;
   model.single_wrong_rate = 0.0;
   model.position_noise = options.edge.position_walk * model.height * std::sqrt(model.keyframe_interval);
-  model.heading_walk = options.edge.yaw_walk;
+  model.heading_walk = options.edge.turn_walk;
   model.heading_bias_stddev = options.compass.bias_stddev;
   model.scale_stddev = options.edge.scale_stddev;
   model.scale_time = options.edge.scale_time;
   model.scale_walk = 0.0;
   model.lean_stddev = options.edge.lean_stddev;
-  const double walk = options.inertial.accel_walk / options.inertial.gravity / options.edge.lean_stddev;
-  model.lean_time = 2.0 / (walk * walk);
+  model.lean_walk = options.edge.turn_walk;
   model.compass_noise = options.compass.noise_stddev;
   model.fix_shared_stddev = options.fix.shared_horizontal_stddev;
   model.fix_shared_vertical_stddev = options.fix.shared_vertical_stddev;

@@ -34,6 +34,7 @@ class FusionOnABus : public ::testing::Test {
     message.status = vio_state_t::TRACKING;
     put(state.p_W_B, message.p_W_B);
     put(state.q_W_B, message.q_W_B);
+    Eigen::Map<Eigen::Vector2d>{message.levelled} = state.levelled;
     put(state.v_W_B, message.v_W_B);
     message.height_above_ground = 109.0;
     publish(channel::kVioState, message);
@@ -45,6 +46,7 @@ class FusionOnABus : public ::testing::Test {
     message.id = keyframe.id;
     put(keyframe.p_W_B, message.p_W_B);
     put(keyframe.q_W_B, message.q_W_B);
+    Eigen::Map<Eigen::Vector2d>{message.levelled} = keyframe.levelled;
     message.height_above_ground = keyframe.height_above_ground;
     for (double& value : message.relative_covariance) value = std::numeric_limits<double>::quiet_NaN();
     publish(channel::kVioKeyframe, message);

@@ -263,6 +263,14 @@ TEST_F(BadInput, KeyframesThatAreNoneAreRefused) {
   keyframe = flight_.keyframes[100];
   keyframe.p_W_B.setConstant(1e9);
   EXPECT_EQ(fusion_.add_keyframe(keyframe), Outcome::kBadNumber);
+  for (const double levelled : {kUnknown, 1e9}) {
+    keyframe = flight_.keyframes[100];
+    keyframe.levelled.setConstant(levelled);
+    EXPECT_EQ(fusion_.add_keyframe(keyframe), Outcome::kBadNumber);
+    OdometryState state = flight_.states[500];
+    state.levelled.setConstant(levelled);
+    EXPECT_EQ(fusion_.propagate(state).outcome, Outcome::kBadNumber);
+  }
   keyframe = flight_.keyframes[100];
   keyframe.id = 2'000'000'000;
   EXPECT_EQ(fusion_.add_keyframe(keyframe), Outcome::kBadNumber);

@@ -5,6 +5,7 @@
 #include <gtest/gtest.h>
 
 #include "common/math/so3.h"
+#include "services/fusion/consensus.h"
 #include "services/fusion/error_budget.h"
 #include "services/fusion/pose_graph.h"
 #include "tests/fusion/faults.h"
@@ -13,50 +14,35 @@
 namespace orthonav::fusion {
 namespace {
 
-constexpr double kGravity = 9.81;
 const Eigen::Vector3d kUp = Eigen::Vector3d::UnitZ();
 
-// The attitude that an accelerometer at rest shows to one who takes `bias` for its bias, with the yaw of `q_G_B`.
-Eigen::Quaterniond levelled(const Eigen::Quaterniond& q_G_B, const Eigen::Vector3d& true_bias,
-                            const Eigen::Vector3d& bias) {
-  const Eigen::Vector3d force_B = q_G_B.conjugate() * (kGravity * kUp) + true_bias - bias;
-  const Eigen::Quaterniond q = Eigen::Quaterniond::FromTwoVectors(q_G_B * force_B, kUp) * q_G_B;
-  return Eigen::AngleAxisd(yaw_of(q_G_B) - yaw_of(q), kUp) * q;
-}
-
-// What turns the odometry's body into the true one, about the body's axes levelled.
-Eigen::Vector3d lean_of(const Eigen::Quaterniond& q_G_B, const Eigen::Quaterniond& q_W_B) {
-  const Eigen::AngleAxisd heading(yaw_of(q_W_B), kUp);
-  return so3_log(heading.inverse() * (q_G_B * q_W_B.conjugate()) * heading);
-}
-
-TEST(Lean, ChangesByWhatTheOdometryLearnsOfTheAccelerometer) {
-  const Eigen::Vector3d true_bias(0.11, -0.07, 0.05);
+TEST(Lean, ChangesByWhatTheOdometryLevelsItsAttitudeBy) {
+  // The truth in the odometry's world before and after a turn of the published attitude alone.
   const Eigen::Quaterniond q_G_B = Eigen::AngleAxisd(2.2, kUp) * Eigen::AngleAxisd(0.15, Eigen::Vector3d::UnitY()) *
                                    Eigen::AngleAxisd(-0.1, Eigen::Vector3d::UnitX());
+  const Eigen::Vector2d turned(0.013, -0.011);
   Keyframe before, after;
-  before.accel_bias = Eigen::Vector3d(-0.02, 0.03, 0.0);
-  after.accel_bias = Eigen::Vector3d(0.08, -0.10, 0.02);
+  before.q_W_B = Eigen::AngleAxisd(-1.1, kUp) * so3_exp(Eigen::Vector3d(0.004, 0.015, 0)) * q_G_B;
+  after.q_W_B = so3_exp(Eigen::Vector3d(turned.x(), turned.y(), 0)) * before.q_W_B;
+  after.levelled = turned;
   after.id = 1;
   after.utime = 500'000;
-  for (Keyframe* keyframe : {&before, &after}) {
-    keyframe->q_W_B = levelled(q_G_B, true_bias, keyframe->accel_bias);
-    keyframe->height_above_ground = 100.0;
-  }
-  const Eigen::Vector3d change = lean_of(q_G_B, after.q_W_B) - lean_of(q_G_B, before.q_W_B);
+  for (Keyframe* keyframe : {&before, &after}) keyframe->height_above_ground = 100.0;
+  // R_G_W without its yaw: what is left is the lean.
+  const auto lean_of = [&](const Keyframe& keyframe) {
+    const Eigen::Quaterniond q_G_W = q_G_B * keyframe.q_W_B.conjugate();
+    return so3_log(Eigen::AngleAxisd(-yaw_of(q_G_W), kUp) * q_G_W);
+  };
+  const Eigen::Vector3d change = lean_of(after) - lean_of(before);
   ASSERT_GT(change.head<2>().cwiseAbs().minCoeff(), 0.009);
   const Transition transition = transition_between(FusionOptions{}, before, after, Eigen::Quaterniond::Identity());
   EXPECT_LT((transition.lean_change - change.head<2>()).norm(), 2e-4) << transition.lean_change.transpose();
-  // And by nothing where nothing is known.
-  after.accel_bias.setConstant(kUnknown);
-  EXPECT_EQ(transition_between(FusionOptions{}, before, after, Eigen::Quaterniond::Identity()).lean_change.norm(), 0.0);
 }
 
 // The first keyframe of a graph, whose odometry knows its vertical so well.
 Keyframe started(PoseGraph& graph, double lean_stddev) {
   Keyframe keyframe;
   keyframe.height_above_ground = 100.0;
-  keyframe.accel_bias.setZero();
   keyframe.lean_stddev = lean_stddev;
   StateVector stddev = StateVector::Constant(1.0);
   stddev.segment<2>(kLean).setConstant(lean_stddev);
@@ -69,11 +55,11 @@ TEST(Lean, IsByTheOdometrysNewestWordWhereNothingElseIsKnown) {
   const FusionOptions options;
   PoseGraph graph(options);
   Keyframe keyframe = started(graph, 0.03);
-  // It learns 0.15 m/s2 of its bias, doubts itself again, and learns more.
+  // It levels its attitude, doubts itself again, and goes on.
   for (const double known : {0.03, 0.02, 0.01, 0.025, 0.012}) {
     ++keyframe.id;
     keyframe.utime += 1'000'000;
-    keyframe.accel_bias += Eigen::Vector3d(0.03, -0.02, 0.0);
+    keyframe.levelled += Eigen::Vector2d(0.003, -0.002);
     keyframe.lean_stddev = known;
     graph.append(keyframe);
     graph.solve();
@@ -82,13 +68,13 @@ TEST(Lean, IsByTheOdometrysNewestWordWhereNothingElseIsKnown) {
     EXPECT_NEAR(std::sqrt(estimate.covariance(kLean, kLean)), known, 1e-6);
     EXPECT_NEAR(std::sqrt(estimate.covariance(kLean + 1, kLean + 1)), known, 1e-6);
   }
-  // And no better than the configuration has it, or where it does not say.
-  for (const double word : {1e-4, kUnknown}) {
+  // As the configuration has it where it does not say, and never better than gyroscopes carry it.
+  for (const auto& [word, known] : {std::pair(kUnknown, options.edge.lean_stddev), {1e-9, options.edge.turn_walk}}) {
     ++keyframe.id;
     keyframe.utime += 1'000'000;
     keyframe.lean_stddev = word;
     graph.append(keyframe);
-    EXPECT_NEAR(std::sqrt(graph.estimate(keyframe.id).covariance(kLean, kLean)), options.edge.lean_stddev, 1e-6);
+    EXPECT_NEAR(std::sqrt(graph.estimate(keyframe.id).covariance(kLean, kLean)), known, 1e-6);
   }
 }
 
@@ -100,7 +86,7 @@ TEST(Lean, ThatFixesHaveToldIsCarriedAlong) {
   graph.add_tilt(0, {0.012, 0.0}, 0.01 * 0.01 * Eigen::Matrix2d::Identity());
   keyframe.id = 1;
   keyframe.utime = 1000;
-  keyframe.accel_bias = Eigen::Vector3d(0.0, 0.01 * options.inertial.gravity, 0.0);  // the lean changes by 0.01 about x
+  keyframe.levelled = Eigen::Vector2d(-0.01, 0.0);
   keyframe.lean_stddev = 0.015;
   graph.append(keyframe);
   graph.solve();
@@ -109,6 +95,22 @@ TEST(Lean, ThatFixesHaveToldIsCarriedAlong) {
   const Estimate estimate = graph.estimate(1);
   EXPECT_NEAR(estimate.state.lean().x(), 0.022 * of_fix / (of_fix + of_odometry), 1e-5);
   EXPECT_NEAR(estimate.covariance(kLean, kLean), 1 / (of_fix + of_odometry), 1e-7);
+}
+
+// Fixes of one place, 285 m above it, before and after the odometry has levelled its attitude by half a degree.
+TEST(Lean, ThatTheOdometryHasLevelledMeanwhileIsNoDisagreement) {
+  Sighting a, b;
+  a.lever = b.lever = lever_of_height(285.0);
+  a.covariance = b.covariance = 0.1 * Eigen::Matrix3d::Identity();
+  a.yaw_G_W = b.yaw_G_W = 0.7;
+  b.keyframe.p_W_B = Eigen::Vector3d(10.0, 0.0, 0.0);
+  b.keyframe.levelled = Eigen::Vector2d(0.006, -0.006);
+  const Eigen::Rotation2Dd R(0.7);
+  b.p_G_B.head<2>() = R * Eigen::Vector2d(10.0, 0.0);
+  b.p_G_B += b.lever * (R * -b.keyframe.levelled);  // less lean, and found less far off
+  EXPECT_LT(disagreement(a, b, FusionOptions{}), 1e-6);
+  b.keyframe.levelled.setZero();
+  EXPECT_GT(disagreement(a, b, FusionOptions{}), 4.0);
 }
 
 TEST(Lean, MovesAFixOverThePointsThatItSees) {
@@ -167,6 +169,7 @@ TEST(Lean, IsFollowedWhenTheOdometryLearnsItsBiasAllAtOnce) {
   SyntheticOptions options = high();
   options.imu = true;
   options.lean_learnt_at = 80.0;
+  options.perspective_stddev = 0.003;
   for (uint64_t seed = 1; seed <= 3; ++seed) {
     const SyntheticFlight flight = make_flight(options, seed);
     const Flown flown = fly(flight, FusionOptions{});

@@ -50,7 +50,7 @@ TEST(FusionOptions, TheShippedDefaultsAreThoseOfTheCode) {
   const FusionOptions file = FusionOptions::load(std::filesystem::path(ORTHONAV_SOURCE) / "config/default");
   const FusionOptions code;
   EXPECT_NEAR(file.edge.position_walk, code.edge.position_walk, 1e-9);
-  EXPECT_NEAR(file.edge.yaw_walk, code.edge.yaw_walk, 2e-6);
+  EXPECT_NEAR(file.edge.turn_walk, code.edge.turn_walk, 2e-6);
   EXPECT_NEAR(file.edge.lean_stddev, code.edge.lean_stddev, 5e-5);
   EXPECT_NEAR(file.edge.scale_stddev, code.edge.scale_stddev, 1e-9);
   EXPECT_NEAR(file.edge.velocity_stddev, code.edge.velocity_stddev, 1e-9);

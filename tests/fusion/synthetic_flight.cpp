@@ -68,7 +68,7 @@ SyntheticFlight make_flight(const SyntheticOptions& options, uint64_t seed) {
   double heading_error = 0.0;
   double log_scale = dice.normal(options.scale_stddev);  // odometry = truth * exp(-log_scale)
   const double heading_bias = dice.normal(options.heading_bias_stddev);
-  Eigen::Vector3d wandering = noise.normal3(options.lean_stddev, 0.0);
+  Eigen::Vector3d walking_W = noise.normal3(options.lean_stddev, 0.0);
   const Eigen::Vector3d gyro_bias = noise.normal3(0.01, 0.01);
   const Eigen::Vector3d accel_bias = noise.normal3(0.05, 0.05);
   const Eigen::Vector3d accel_bias_error = noise.normal3(0.02, 0.02);
@@ -95,17 +95,21 @@ SyntheticFlight make_flight(const SyntheticOptions& options, uint64_t seed) {
     const Eigen::Quaterniond q_G_B = path.attitude(t);
     const Eigen::Vector3d constant(options.lean.x(), options.lean.y(), 0.0);
     const bool learnt = t >= options.lean_learnt_at;
-    const Eigen::Vector3d lean = learnt ? wandering : Eigen::Vector3d(wandering + constant);
+    const Eigen::AngleAxisd yaw(yaw_W_G + heading_error, Eigen::Vector3d::UnitZ());
     const Eigen::AngleAxisd heading(yaw_of(q_G_B), Eigen::Vector3d::UnitZ());
-    const auto leaning = [&](const Eigen::Vector3d& by) { return heading * so3_exp(-by) * heading.inverse(); };
-    const Eigen::Quaterniond q_W_G =
-        Eigen::AngleAxisd(yaw_W_G + heading_error, Eigen::Vector3d::UnitZ()) * leaning(lean);
+    // Of gravity, R_G_B = Exp(tilt) R_odometry; and what of it the odometry has levelled its attitude by.
+    const Eigen::Vector3d of_bias = heading * constant;
+    const Eigen::Vector3d tilt =
+        (learnt ? Eigen::Vector3d(Eigen::Vector3d::Zero()) : of_bias) + yaw.inverse() * walking_W;
+    const Eigen::Vector3d levelled_W =
+        learnt ? Eigen::Vector3d(Eigen::Vector3d::Zero()) : Eigen::Vector3d(-(yaw * of_bias));
+    const Eigen::Quaterniond q_W_G = yaw * so3_exp(-tilt);
     // An odometry that leans has taken so much of gravity for the accelerometer's bias, m/s^2 in B.
     const auto of_gravity = [&](const Eigen::Vector3d& by) -> Eigen::Vector3d {
       const Eigen::Vector3d up(0, 0, kGravity);
-      return q_G_B.conjugate() * up - (leaning(by) * q_G_B).conjugate() * up;
+      return q_G_B.conjugate() * up - (so3_exp(-by) * q_G_B).conjugate() * up;
     };
-    const Eigen::Vector3d true_bias = accel_bias - of_gravity(wandering + constant);
+    const Eigen::Vector3d true_bias = accel_bias - of_gravity(of_bias + yaw.inverse() * walking_W);
     if (k > 0) {
       const Eigen::Vector3d moved = 0.5 * kStep * (velocity + path.velocity(t - kStep));
       p_G_B += moved;
@@ -142,7 +146,9 @@ SyntheticFlight make_flight(const SyntheticOptions& options, uint64_t seed) {
     state.v_W_B = std::exp(-log_scale) * (q_W_G * velocity);
     state.gyro_bias = gyro_bias;
     state.accel_bias = accel_bias + accel_bias_error;
-    if (learnt) state.accel_bias -= of_gravity(constant);
+    if (learnt) state.accel_bias -= of_gravity(of_bias);
+    state.levelled = levelled_W.head<2>();
+    state.lean_stddev = options.lean_word;
     flight.states.push_back(state);
     flight.truth.push_back(p_G_B);
     flight.truth_q.push_back(q_G_B);
@@ -155,6 +161,7 @@ SyntheticFlight make_flight(const SyntheticOptions& options, uint64_t seed) {
       keyframe.id = static_cast<int>(flight.keyframes.size());
       keyframe.p_W_B = state.p_W_B;
       keyframe.q_W_B = state.q_W_B;
+      keyframe.levelled = state.levelled;
       keyframe.height_above_ground = std::exp(-log_scale) * p_G_B.z();
       const size_t index = flight.keyframes.size();
       flight.steps.push_back({SyntheticFlight::Step::Kind::kKeyframe, index});
@@ -182,7 +189,6 @@ SyntheticFlight make_flight(const SyntheticOptions& options, uint64_t seed) {
         fix.session = 1;
         fix.keyframe_id = keyframe.id;
         // The ground below is where the map has it; who leans takes it to be in another direction, and himself with it.
-        const Eigen::Vector3d tilt = heading * lean;  // R_G_B = Exp(tilt) R_odometry
         const Eigen::Vector3d to_ground(0.0, 0.0, -p_G_B.z());
         const Eigen::Vector3d leans = to_ground - so3_exp(-tilt) * to_ground;
         fix.position = frame.to_geodetic(p_G_B + leans + offset + shared +
@@ -208,10 +214,8 @@ SyntheticFlight make_flight(const SyntheticOptions& options, uint64_t seed) {
         waiting.erase(waiting.begin());
       }
     }
-    // Lean and scale wander about zero.
-    const double keep_lean = std::exp(-kStep / options.lean_time);
-    wandering =
-        keep_lean * wandering + noise.normal3(options.lean_stddev, 0.0) * std::sqrt(1.0 - keep_lean * keep_lean);
+    // The scale wanders about one.
+    walking_W += noise.normal3(options.lean_walk * std::sqrt(kStep), 0.0);
     heading_error += dice.normal(options.heading_walk * std::sqrt(kStep));
     const double keep_scale = std::exp(-kStep / options.scale_time);
     log_scale = keep_scale * log_scale + dice.normal(options.scale_walk * std::sqrt(kStep)) +

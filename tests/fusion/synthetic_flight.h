@@ -36,12 +36,13 @@ struct SyntheticOptions {
   double fix_shared_vertical_stddev = 1.0;
   double fix_shared_distance = 40.0;  // m of way over which it is forgotten
   double fix_shared_vertical_distance = 40.0;
-  // Of the odometry's vertical, in the body's levelled axes, rad: a constant part, and one that wanders. Fixes lean
-  // with it. It is an error of the accelerometer's bias: the sensor's own wanders, and what the odometry takes it for
-  // stays, until it learns the constant part all at once.
+  // Of the odometry's vertical, rad: a constant part in the body's levelled axes, which is an error of the
+  // accelerometer's bias that the odometry levels its attitude by, until it learns the bias all at once; and one in its
+  // world, which walks, as the attitude does that gyroscopes carry. Fixes lean with both.
   Eigen::Vector2d lean = Eigen::Vector2d::Zero();
-  double lean_stddev = 0.0;
-  double lean_time = 60.0;               // s over which it is forgotten
+  double lean_stddev = 0.0;              // at the start, of the second one
+  double lean_word = 0.007;              // rad per axis: how well the odometry says that it knows it
+  double lean_walk = 0.0;                // rad per square root of a second
   double lean_learnt_at = kUnknown;      // s from the start; NaN: never
   double perspective_stddev = kUnknown;  // rad, of the tilt that fixes tell; NaN: they do not
   double compass_noise = 0.017;          // rad, white; the bias is the fixes' heading's

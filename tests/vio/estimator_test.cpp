@@ -162,6 +162,31 @@ double nees_of_motion(double imu_times, size_t first) {
   return sum / count;
 }
 
+// The published vertical is led after what is learnt of it: by turns that are told, so that whoever knew its error
+// before goes on knowing it.
+TEST(Estimator, TellsByWhatItHasLevelledThePublishedAttitude) {
+  const Trajectory trajectory = survey_flight(110, 2.6);
+  const Flown flown =
+      fly(trajectory, simulate_frames(trajectory, 60, 2.0, {0.2, true, {0.004, -0.006, 0.003}, {0.15, -0.1, 0.02}}, 1));
+  ASSERT_GT(flown.keyframes.size(), 20u);
+  // In W: of the truth beyond the published attitude.
+  const auto lean = [&](const Keyframe& keyframe) -> Eigen::Vector2d {
+    const Eigen::Quaterniond q_W_B = trajectory.attitude(1e-6 * static_cast<double>(keyframe.utime - 1'000'000'000));
+    const Eigen::Quaterniond q = q_W_B * keyframe.state.q().conjugate();
+    const Eigen::Quaterniond turned = Eigen::AngleAxisd(-yaw_of(q), Vector3d::UnitZ()) * q;
+    return so3_log(turned).head<2>();
+  };
+  const Keyframe& first = flown.keyframes.front();
+  double moved = 0, untold = 0;
+  for (const Keyframe& keyframe : flown.keyframes) {
+    const Eigen::Vector2d change = lean(keyframe) - lean(first);
+    moved = std::max(moved, change.norm());
+    untold = std::max(untold, (change + keyframe.levelled - first.levelled).norm());
+  }
+  EXPECT_GT(moved, 0.005);
+  EXPECT_LT(untold, 0.2 * moved);
+}
+
 TEST(Estimator, RelativeCovarianceIsHonest) {
   const double nees = nees_of_motion(1, 10);
   EXPECT_GT(nees, 0.2);
