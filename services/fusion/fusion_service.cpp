@@ -241,7 +241,7 @@ void FusionService::on_fix(const map_fix_t& message) {
   const Eigen::Quaterniond q_G_B = quaternion_of(message.q_G_B);
   fix.heading = q_G_B.coeffs().allFinite() ? heading_of(q_G_B.normalized()) : message.heading;
   fix.heading_stddev = message.heading_stddev;
-  if (std::isfinite(message.heading_correction) && message.heading_correction_stddev > 0) {
+  if (message.heading_correction_stddev > 0) {  // NaN: not fitted
     fix.heading_fitted = true;
     fix.heading = message.heading;
     fix.heading_stddev = message.heading_correction_stddev;

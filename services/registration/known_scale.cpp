@@ -117,7 +117,8 @@ bool KnownScale::may_have_changed() const {
 }
 
 double KnownScale::odometry_stddev() const {
-  return odometry_stddev_ > 0 ? odometry_stddev_ : usual_stddev_;  // NaN: unknown
+  // It says so of its newest stretch; NaN: unknown.
+  return odometry_stddev_ > 0 ? std::max(odometry_stddev_, kLeastStddev) : usual_stddev_;
 }
 
 // Where nothing was found of late the scale is as doubtful as the place, and the odometry says as much as the last fix.

@@ -328,8 +328,9 @@ void RegistrationService::register_keyframe(const vio_keyframe_t& message, const
   const Stopwatch total(node_);
   map_fix_t out{};
   Fix fix;
-  const std::optional<Heading> heading = headings_.at(message.utime);
-  if (!heading) {
+  const Heading heading = headings_.at(message.utime).value_or(Heading{});
+  if (!heading.known()) node_.health().add("keyframes.without_heading");
+  if (!heading.known() && !uses_submap_) {
     fix.reason = fmt::format("no compass heading within {} s", options_.max_compass_gap);
     node_.health().reject("keyframe.no_heading", fix.reason);
   } else if (!image.ok()) {
@@ -337,7 +338,7 @@ void RegistrationService::register_keyframe(const vio_keyframe_t& message, const
     node_.health().reject("keyframe.no_image", "a keyframe without its image: " + image.error);
   } else {
     out.describe_ms = decoding_ms;
-    fix = register_image(message, image.grey, *heading, out);
+    fix = register_image(message, image.grey, heading, out);
   }
   out.total_ms = decoding_ms + total.ms();
   publish(message, fix, heading, out);
@@ -369,7 +370,7 @@ Fix RegistrationService::register_image(const vio_keyframe_t& message, const cv:
   return fix;
 }
 
-void RegistrationService::publish(const vio_keyframe_t& keyframe, const Fix& fix, const std::optional<Heading>& heading,
+void RegistrationService::publish(const vio_keyframe_t& keyframe, const Fix& fix, const Heading& heading,
                                   map_fix_t& out) {
   fill_fix(fix, frame_, out);
   out.utime = keyframe.utime;
@@ -380,9 +381,11 @@ void RegistrationService::publish(const vio_keyframe_t& keyframe, const Fix& fix
   const double nan = std::numeric_limits<double>::quiet_NaN();
   const double full_turn = 2 * M_PI;
   const bool corrected = std::isfinite(fix.heading_correction);
-  const double used = heading ? heading->value + (corrected ? fix.heading_correction : 0) : nan;
+  const double of_the_compass = heading.known() ? heading.value : nan;
+  const double used = corrected ? heading.value + fix.heading_correction : of_the_compass;
   out.heading = used - full_turn * std::floor(used / full_turn);
-  out.heading_stddev = corrected ? fix.heading_correction_stddev : heading ? heading->stddev : nan;
+  out.heading_stddev = corrected ? fix.heading_correction_stddev : heading.known() ? heading.stddev : nan;
+  if (!heading.known()) out.heading_correction = nan;
   node_.publish(channel::kMapFix, out);
   ++num_tried_;
   if (fix.valid) ++num_fixes_;

@@ -73,7 +73,7 @@ class RegistrationService : public Service {
   void register_keyframe(const vio_keyframe_t& keyframe, const DecodedImage& image, double decoding_ms);
   Fix register_image(const vio_keyframe_t& message, const cv::Mat& image, const Heading& heading, map_fix_t& out);
   std::optional<PositionPrior> expected_position(int64_t utime) const;
-  void publish(const vio_keyframe_t& keyframe, const Fix& fix, const std::optional<Heading>& heading, map_fix_t& out);
+  void publish(const vio_keyframe_t& keyframe, const Fix& fix, const Heading& heading, map_fix_t& out);
   void report_state();
 
   Node& node_;

@@ -28,6 +28,8 @@ constexpr double kTaughtStddev = 0.003;
 constexpr double kHeadingStep = 15 * kRadian;
 // The same where another one than the compass's is looked for, and how far from it, in its standard deviations.
 constexpr double kTurnStep = 9 * kRadian, kFurthestTurn = 4.5;
+// What is described under another one than so near to it, in its standard deviations, is not the compass's word.
+constexpr double kOfTheCompass = 2;
 // Of the newest points, the share that has to stay aligned for their fit to be believed without asking the rest of the
 // submap: with less, fits over crops in rows and woods were rows and crowns off, up to 25 m.
 constexpr double kSureShare = 0.2;
@@ -123,9 +125,10 @@ bool SubmapRegistrar::describe(const Keyframe& keyframe, int session, const cv::
   refused_ = reason_to_refuse(keyframe, image, camera_, heading.value);
   if (!refused_.empty()) return false;
   const double odometry_heading = heading_of(keyframe.q_W_B);
-  if (options_.search_heading) {
-    compass_yaw_ = 0;
-  } else {
+  if (heading.known() && !options_.search_heading) {
+    // What was described under any heading is of no use beside what is described under the compass's.
+    if (num_headings_ == 0 && !fitted_yaw_) keyframes_.clear();
+    compass_stddev_ = heading.stddev;
     const double yaw = wrap_angle(odometry_heading - heading.value);
     ++num_headings_;
     compass_yaw_ = num_headings_ == 1 ? yaw : compass_yaw_ + wrap_angle(yaw - compass_yaw_) / num_headings_;
@@ -143,14 +146,15 @@ bool SubmapRegistrar::describe(const Keyframe& keyframe, int session, const cv::
 std::vector<double> SubmapRegistrar::turns() const {
   std::vector<double> turns{0};
   if (fitted_yaw_) return turns;
-  if (options_.search_heading) {
+  if (is_heading_unknown()) {
     while (static_cast<int>(turns.size()) < std::lround(2 * M_PI / kHeadingStep)) {
       turns.push_back(turns.back() + kHeadingStep);
     }
     return turns;
   }
-  const double near = std::min(2 * heading_.stddev, 0.5 * kHeadingStep);  // described under the compass's heading
-  const double far = std::min(M_PI, kFurthestTurn * heading_.stddev);
+  const double near =
+      std::min(kOfTheCompass * compass_stddev_, 0.5 * kHeadingStep);  // described under the compass's heading
+  const double far = std::min(M_PI, kFurthestTurn * compass_stddev_);
   for (double turn = near + 0.5 * kTurnStep; turn < far; turn += kTurnStep) {
     turns.push_back(turn);
     turns.push_back(-turn);
@@ -201,10 +205,10 @@ Alignment SubmapRegistrar::expected(const View& view, size_t variant) const {
 
 std::vector<Alignment> SubmapRegistrar::alignments_for(size_t variant, const View& view, double lever,
                                                        double step) const {
-  const double turn_stddev = fitted_yaw_               ? kFittedTurnStddev
-                             : options_.search_heading ? 0.25 * kHeadingStep
-                             : variant > 0             ? 0.25 * kTurnStep
-                                                       : heading_.stddev;
+  const double turn_stddev = fitted_yaw_            ? kFittedTurnStddev
+                             : is_heading_unknown() ? 0.25 * kHeadingStep
+                             : variant > 0          ? 0.25 * kTurnStep
+                                                    : compass_stddev_;
   return alignments(expected(view, variant), turn_stddev,
                     scale_.searched_stddev(std::isinf(radius_), num_fixes_ >= kTaught), lever, step);
 }
@@ -221,9 +225,9 @@ void SubmapRegistrar::search(const std::optional<PositionPrior>& prior) {
     if (radius < 0.5 * size.norm()) radius_ = radius;
   }
   const std::vector<double> turns = this->turns();
-  if (options_.search_heading) describe_turned(turns);
+  if (is_heading_unknown()) describe_turned(turns);
   for (size_t variant = 0; variant < turns.size(); ++variant) {
-    if (variant == 1 && !options_.search_heading) {
+    if (variant == 1 && !is_heading_unknown()) {
       // The compass is believed where it leads to a place.
       if (std::isfinite(radius_) || is_clear()) break;
       describe_turned(turns);
@@ -358,6 +362,10 @@ int SubmapRegistrar::hold(const Place& place) {
   return held_.new_ground();
 }
 
+bool SubmapRegistrar::is_heading_unknown() const {
+  return !fitted_yaw_ && num_headings_ == 0;
+}
+
 bool SubmapRegistrar::is_nearby() const {
   return radius_ <= kFineRadius;
 }
@@ -368,14 +376,13 @@ FitPrior SubmapRegistrar::fit_prior(size_t variant) const {
   prior.alignment.scale = std::exp(scale.log_scale);
   prior.scale_stddev = scale.stddev;
   // What was found under another heading than the compass's is not for the compass to draw back.
-  const bool of_the_compass = !options_.search_heading && variant == 0;
-  if (fitted_yaw_ || of_the_compass) {
-    prior.alignment.turn = wrap_angle(yaw() - keyframes_.front().variants[variant].view->yaw);
-  }
-  prior.heading_stddev = fitted_yaw_               ? kLearntTurnStddev
-                         : options_.search_heading ? M_PI
-                         : of_the_compass          ? heading_.stddev
-                                                   : 0.5 * kTurnStep;
+  const double back = wrap_angle(yaw() - keyframes_.front().variants[variant].view->yaw);
+  const bool of_the_compass = !is_heading_unknown() && std::abs(back) <= kOfTheCompass * compass_stddev_;
+  if (fitted_yaw_ || of_the_compass) prior.alignment.turn = back;
+  prior.heading_stddev = fitted_yaw_            ? kLearntTurnStddev
+                         : is_heading_unknown() ? M_PI
+                         : of_the_compass       ? compass_stddev_
+                                                : 0.5 * kTurnStep;
   if (scale_.is_fitted() && num_fixes_ >= kTaught) prior.common_stddev = kTaughtStddev;
   return prior;
 }
@@ -440,16 +447,53 @@ double SubmapRegistrar::agree_with_submap(Candidate& candidate) const {
   return 0;
 }
 
-void SubmapRegistrar::fit_again(Candidate& candidate) {
+void SubmapRegistrar::find_heading(Candidate& candidate) {
   const size_t variant = candidate.place.variant;
   PlaceFit& fit = candidate.fit;
   if (!fit.ok) return;
-  const double fitted = keyframes_.front().variants[variant].view->yaw + fit.alignment.turn;
-  for (size_t k = 0; k < keyframes_.size() && k < static_cast<size_t>(options_.pose_keyframes); ++k) {
-    Remembered& remembered = keyframes_[k];
-    remembered.variants[variant] = described(remembered.keyframe(), remembered.image, wrap_angle(fitted - yaw()));
+  struct Look {
+    double turn;
+    std::vector<Variant> variants;
+    Eigen::Vector2d en;
+    double likelihood;
+  };
+  const auto look = [&](double turn) {
+    Look result{turn, {}, fit.en, -std::numeric_limits<double>::infinity()};
+    std::vector<const View*> newest;
+    for (size_t k = 0; k < keyframes_.size() && k < static_cast<size_t>(options_.pose_keyframes); ++k) {
+      result.variants.push_back(described(keyframes_[k].keyframe(), keyframes_[k].image, turn));
+      newest.push_back(result.variants.back().view.get());
+    }
+    const auto places = best_fine_places(newest, *index_, {{0, fit.alignment.scale}}, fit.en, options_.second_distance,
+                                         options_.second_distance, 1, options_.evidence);
+    if (!places.empty()) {
+      result.en = places.front().en;
+      result.likelihood = places.front().likelihood;
+    }
+    return result;
+  };
+  // To the top, and between the three headings about it.
+  Look best = look(wrap_angle(keyframes_.front().variants[variant].view->yaw + fit.alignment.turn - yaw()));
+  double beside[2] = {0, 0};
+  int lower = 0, side = 0;
+  for (int k = 0; lower < 2 && k * kTurnStep < 2 * M_PI; ++k) {
+    Look next = look(wrap_angle(best.turn + (side == 0 ? kTurnStep : -kTurnStep)));
+    if (next.likelihood > best.likelihood) {
+      beside[1 - side] = best.likelihood;
+      best = std::move(next);
+      lower = 1;
+    } else {
+      beside[side] = next.likelihood;
+      side = 1 - side;
+      ++lower;
+    }
   }
-  fit = fit_at(fit.en, {0, fit.alignment.scale}, variant);
+  const double bend = 2 * best.likelihood - beside[0] - beside[1];
+  if (bend > 0 && std::isfinite(bend)) {
+    best = look(wrap_angle(best.turn + 0.5 * kTurnStep * (beside[0] - beside[1]) / bend));
+  }
+  for (size_t k = 0; k < best.variants.size(); ++k) keyframes_[k].variants[variant] = std::move(best.variants[k]);
+  fit = fit_at(best.en, {0, fit.alignment.scale}, variant);
 }
 
 double SubmapRegistrar::aligned_share(const Candidate& place) const {
@@ -495,8 +539,8 @@ Fix SubmapRegistrar::solve() {
     fix.reason =
         fmt::format("the whole submap looks like a place {:.0f} m from where its newest keyframes fit", disagreement);
   }
-  if (fix.reason.empty() && !fitted_yaw_ && !options_.search_heading) {
-    fit_again(candidates.front());
+  if (fix.reason.empty() && !fitted_yaw_) {
+    find_heading(candidates.front());
     fix.num_inliers = static_cast<int>(fit.inliers);
   }
   const View& newest = *views(best.place.variant, 1).front();
@@ -516,7 +560,9 @@ Fix SubmapRegistrar::solve() {
                                             fit_prior(best.place.variant), scale, options_.fit, ground)
                                  : FittedPose{};
   const double odometry_heading = heading_of(newest.keyframe.q_W_B);
-  const double yaw = pose.ok ? pose.yaw : wrap_angle(odometry_heading - heading_.value);
+  const double yaw = pose.ok            ? pose.yaw
+                     : heading_.known() ? wrap_angle(odometry_heading - heading_.value)
+                                        : this->yaw();
   const Eigen::Vector2d en = pose.ok ? pose.p_G_B.head<2>() : best.place.en;
   fix.translation = en - Eigen::Rotation2Dd(yaw) * newest.keyframe.p_W_B.head<2>();
   fix.num_candidates = fix.num_query;

@@ -35,7 +35,7 @@ struct SubmapOptions {
   int max_keyframes = 16;         // of a submap that is searched for everywhere
   double keyframe_spacing = 0.2;  // between those that no poses are made of, share of the height above ground
   int pose_keyframes = 4;         // the newest of them, of which poses are made, and that are searched for nearby
-  bool search_heading = false;    // true: all headings, where nothing is known of it
+  bool search_heading = false;    // true: the compass is not asked
   double bound_stddevs = 4;       // the search covers so many standard deviations of the expected position
   double min_radius = 15;         // m, and at least this
   double widening = 1.5;          // factor of the radius for each keyframe without a fix
@@ -129,14 +129,17 @@ class SubmapRegistrar {
   PlaceFit fit_at(const Eigen::Vector2d& en, const Alignment& alignment, size_t variant) const;
   // Whether the search was for a place where the aircraft is expected closely.
   bool is_nearby() const;
+  // Neither fixes nor the compass have said anything of it.
+  bool is_heading_unknown() const;
   // Of the points, how many stay where they are aligned to the map.
   double aligned_share(const Candidate& place) const;
   // The best different places, the likeliest first by likelihood and aligned points; nearby, the best one.
   std::vector<Candidate> fit_best_places() const;
-  // A patch described under a heading that is off fits best where that heading puts it: describes what poses are made
-  // of under the heading that was fitted, and fits again. Not under the scale: few points of a first fix tell it badly,
-  // and the next ones would be fitted under it (`testing_zone` 2 `years` was lost for it).
-  void fit_again(Candidate& candidate);
+  // A patch described under a heading that is off fits best where that heading puts it, and the fit believes it.
+  // Describes what poses are made of under the headings to either side of what was fitted, further while the place
+  // looks more like itself, and fits again. Not under the scale: few points of a first fix tell it badly, and the next
+  // ones would be fitted under it (`testing_zone` 2 `years` was lost for it).
+  void find_heading(Candidate& candidate);
   // How far (m) from a fit the whole submap may have its place: it goes by cells, and its odometry errs.
   double submap_give() const;
   // Where few of the newest points stay aligned, asks the whole submap, and fits again where it says. How far (m) the
@@ -158,6 +161,7 @@ class SubmapRegistrar {
   // Compass less odometry: the yaw of W in G by the mean of the session's headings, and what the fixes made of it.
   double compass_yaw_ = 0;
   int num_headings_ = 0;
+  double compass_stddev_ = 0;  // rad, of its newest heading
   std::optional<double> fitted_yaw_;
   KnownScale scale_;
   GroundLevel ground_;   // of the session's fixes

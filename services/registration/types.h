@@ -51,8 +51,10 @@ inline bool agree(const ScaleBelief& a, const ScaleBelief& b) {
 
 // True heading of the body's x axis, clockwise from true north.
 struct Heading {
-  double value = 0;   // rad
-  double stddev = 0;  // rad
+  double value = 0;      // rad
+  double stddev = M_PI;  // rad; half a turn and more: nothing is known
+
+  bool known() const { return stddev < M_PI; }
 };
 
 // The map's features: l_j of equation (3) in G and their descriptors.

@@ -7,6 +7,7 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include "common/math/so3.h"
 #include "tests/registration/synthetic_flight.h"
 
 namespace orthonav::registration {
@@ -205,6 +206,36 @@ TEST_F(SubmapTest, FindsTheHeadingWhereNoneIsKnown) {
   ASSERT_TRUE(fix.valid) << fix.reason;
   EXPECT_LT((fix.p_G_B - capture.p_G_B).norm(), 1.0);
   EXPECT_NEAR(fix.heading_correction, -2.5, 0.03);
+}
+
+TEST_F(SubmapTest, FindsTheHeadingWhereThereIsNoCompassAndGoesOnWhenItComesAndFails) {
+  SubmapRegistrar registrar({}, test_camera());
+  registrar.set_map(described_map(ground_), kFieldsMap);
+  const Heading none, off{1.0 - 0.1, 0.05};
+  int k = 0;
+  for (const Heading& compass : {none, none, off, off, none, none}) {
+    const Capture capture = ground_.capture({60.0 + 10 * k++, -80, 60}, 1.0, 0.03, -0.04);
+    const Fix fix = add(registrar, capture, compass);
+    ASSERT_TRUE(fix.valid) << k << ": " << fix.reason;
+    EXPECT_LT((fix.p_G_B - capture.p_G_B).head<2>().norm(), 1.0) << k;
+    EXPECT_NEAR(wrap_angle(compass.value + fix.heading_correction - 1.0), 0, 0.03) << k;
+  }
+}
+
+TEST_F(SubmapTest, LeavesTheHeadingOfACompassThatIsFarOffBehind) {
+  for (const double off : {-0.35, 0.35}) {
+    SubmapRegistrar registrar({}, test_camera());
+    registrar.set_map(described_map(ground_), kFieldsMap);
+    Fix fix;
+    Capture capture;
+    for (int k = 0; k < 6 && !fix.valid; ++k) {
+      capture = ground_.capture({60.0 + 10 * k, -80, 60}, 1.0, 0.03, -0.04);
+      fix = add(registrar, capture, {1.0 + off, 0.05});
+    }
+    ASSERT_TRUE(fix.valid) << fix.reason;
+    EXPECT_LT((fix.p_G_B - capture.p_G_B).head<2>().norm(), 1.0) << off;
+    EXPECT_NEAR(fix.heading_correction, -off, 0.03);
+  }
 }
 
 TEST_F(SubmapTest, TheMoreKeyframesTheSurer) {
