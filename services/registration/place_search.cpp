@@ -236,7 +236,10 @@ std::vector<PlaceCandidate> best_coarse_places(const std::vector<ShiftedLikeliho
     best.add(sum, h);
   }
   std::vector<PlaceCandidate> places;
-  for (const Peak& peak : best_peaks(std::move(best), newest.rows, newest.columns, separation / pitch, count)) {
+  // Keyframes may lie a cell off each other: one place fills three cells each way, whatever their size.
+  constexpr double kOnePlace = 2.5;
+  const double apart = std::max(kOnePlace, separation / pitch);
+  for (const Peak& peak : best_peaks(std::move(best), newest.rows, newest.columns, apart, count)) {
     const Eigen::Vector2d en =
         index.place(2 * (peak.cell.row + newest.first_row), 2 * (peak.cell.column + newest.first_column));
     places.push_back({en, peak.picture, peak.value});

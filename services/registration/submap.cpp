@@ -224,6 +224,17 @@ void SubmapRegistrar::search(const std::optional<PositionPrior>& prior) {
     const double radius = expected_radius_ * std::pow(options_.widening, std::min(widened_, 50));
     if (radius < 0.5 * size.norm()) radius_ = radius;
   }
+  search_as_wide();
+  // What is not where the aircraft is expected has to stand against the whole map: nearby there is little to compare
+  // it with.
+  if (!std::isinf(radius_) && !places_.empty() && !is_expected(places_.front().en)) {
+    radius_ = std::numeric_limits<double>::infinity();
+    search_as_wide();
+  }
+}
+
+void SubmapRegistrar::search_as_wide() {
+  places_.clear();
   const std::vector<double> turns = this->turns();
   if (is_heading_unknown()) describe_turned(turns);
   for (size_t variant = 0; variant < turns.size(); ++variant) {
@@ -233,9 +244,9 @@ void SubmapRegistrar::search(const std::optional<PositionPrior>& prior) {
       describe_turned(turns);
     }
     if (is_nearby()) {
-      search_nearby(*prior, variant);
+      search_nearby(variant);
     } else {
-      search_widely(prior, variant);
+      search_widely(variant);
     }
     sort_places();
   }
@@ -263,17 +274,17 @@ bool SubmapRegistrar::is_clear() const {
          ratio >= options_.acceptance.min_likelihood_share * best.likelihood;
 }
 
-void SubmapRegistrar::search_nearby(const PositionPrior& prior, size_t variant) {
+void SubmapRegistrar::search_nearby(size_t variant) {
   const std::vector<const View*> newest = views(variant, options_.pose_keyframes);
   const std::vector<Alignment> candidates =
       alignments_for(variant, *newest.front(), lever_of({newest.front()}), 1.5 * index_->pitch());
-  for (const PlaceCandidate& place : best_fine_places(newest, *index_, candidates, prior.en, radius_,
+  for (const PlaceCandidate& place : best_fine_places(newest, *index_, candidates, expected_, radius_,
                                                       options_.second_distance, 2, options_.evidence)) {
     places_.push_back({place.en, candidates[place.alignment], place.likelihood, variant});
   }
 }
 
-void SubmapRegistrar::search_widely(const std::optional<PositionPrior>& prior, size_t variant) {
+void SubmapRegistrar::search_widely(size_t variant) {
   const double step = 2 * index_->pitch();
   const std::vector<const View*> submap = views(variant, options_.max_keyframes);
   const View& newest = *submap.front();
@@ -303,7 +314,7 @@ void SubmapRegistrar::search_widely(const std::optional<PositionPrior>& prior, s
     } else {
       const Eigen::Vector2d back =
           candidates.front().from_W(newest.yaw) * (view.keyframe.p_W_B - newest.keyframe.p_W_B).head<2>();
-      around.push_back(likelihood({prior->en + back, radius_}));
+      around.push_back(likelihood({expected_ + back, radius_}));
       all.push_back({&around.back(), view.keyframe.p_W_B, view.yaw});
     }
   }
@@ -364,6 +375,10 @@ int SubmapRegistrar::hold(const Place& place) {
 
 bool SubmapRegistrar::is_heading_unknown() const {
   return !fitted_yaw_ && num_headings_ == 0;
+}
+
+bool SubmapRegistrar::is_expected(const Eigen::Vector2d& en) const {
+  return (en - expected_).norm() <= expected_radius_ + index_->pitch() / std::sqrt(2.0);  // half a cell's diagonal
 }
 
 bool SubmapRegistrar::is_nearby() const {
@@ -530,11 +545,14 @@ Fix SubmapRegistrar::solve() {
       .inliers = fix.num_inliers,
       .held = hold(best.place),
       .num_keyframes = fix.num_keyframes,
-      .is_expected = is_nearby() && (fit.en - expected_).norm() <= expected_radius_,
+      .is_expected = is_nearby() && is_expected(fit.en),
   };
   scale_.saw(standing.aligned_share);
   fix.evidence = evidence(standing);
   fix.reason = doubt(standing, options_.acceptance);
+  if (fix.reason.empty() && is_nearby() && !standing.is_expected) {
+    fix.reason = "it fits beyond where the aircraft is expected, and was looked for";
+  }
   if (fix.reason.empty() && disagreement > 0) {
     fix.reason =
         fmt::format("the whole submap looks like a place {:.0f} m from where its newest keyframes fit", disagreement);

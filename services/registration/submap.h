@@ -113,9 +113,10 @@ class SubmapRegistrar {
   Alignment expected(const View& view, size_t variant) const;
   std::vector<Alignment> alignments_for(size_t variant, const View& view, double lever, double step) const;
   // With the newest keyframes, at full resolution, within radius_.
-  void search_nearby(const PositionPrior& prior, size_t variant);
+  void search_as_wide();  // as radius_ says
+  void search_nearby(size_t variant);
   // With the whole submap, on the coarse grid first, within radius_ of the prior or everywhere.
-  void search_widely(const std::optional<PositionPrior>& prior, size_t variant);
+  void search_widely(size_t variant);
   void compare_at_full_resolution(const std::vector<PlaceCandidate>& coarse, const std::vector<Alignment>& candidates,
                                   size_t variant);
   void sort_places();
@@ -129,6 +130,8 @@ class SubmapRegistrar {
   PlaceFit fit_at(const Eigen::Vector2d& en, const Alignment& alignment, size_t variant) const;
   // Whether the search was for a place where the aircraft is expected closely.
   bool is_nearby() const;
+  // Whether a place is where the aircraft is expected, as far as cells tell.
+  bool is_expected(const Eigen::Vector2d& en) const;
   // Neither fixes nor the compass have said anything of it.
   bool is_heading_unknown() const;
   // Of the points, how many stay where they are aligned to the map.
