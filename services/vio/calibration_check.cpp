@@ -116,11 +116,15 @@ CalibrationCheck::CalibrationCheck(const CalibrationCheckOptions& options, const
     : options_(options), extrinsics_(extrinsics), gravity_(gravity), focal_(focal) {}
 
 void CalibrationCheck::check_gravity(const std::vector<ImuSample>& imu) {
+  // From image to image the sensor hardly turns, and what shakes it is nothing in the mean: of single samples'
+  // magnitudes it is not (5 m/s^2 an axis made 12.4 of 9.81).
+  Eigen::Vector3d impulse = Eigen::Vector3d::Zero();
   for (size_t k = 1; k < imu.size(); ++k) {
     const double dt = 1e-6 * static_cast<double>(imu[k].utime - imu[k - 1].utime);
-    force_sum_ += dt * imu[k].accel.norm();
+    impulse += 0.5 * dt * (imu[k - 1].accel + imu[k].accel);
     force_time_ += dt;
   }
+  force_sum_ += impulse.norm();
   if (force_time_ < kForceTime) return;
   const double mean = force_sum_ / force_time_;
   gravity_complaint_ = std::abs(mean / gravity_ - 1) > options_.max_gravity_error

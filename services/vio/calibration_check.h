@@ -6,7 +6,7 @@
 //   w_camera = A w_gyroscope + c T,
 // is fitted to all pairs of images with c the gyroscope's bias: A is the identity when all is well, a rotation when
 // the extrinsics are off, a multiple of a rotation when the gyroscope's units are wrong, anything else when its axes
-// are. The accelerometer's mean magnitude must be gravity's. Nothing is said until turns have made it certain: on a
+// are. The accelerometer's mean must be as large as gravity. Nothing is said until turns have made it certain: on a
 // straight leg nothing can be known, and nothing is lost by it either. Knows no state of the estimator: it works
 // before a start, which a wrong calibration may prevent. Not thread-safe; deterministic.
 #pragma once
@@ -26,7 +26,7 @@ namespace orthonav::vio {
 struct CalibrationCheckOptions {
   double max_rotation_deg = 4.0;    // degrees, of a wrong camera-IMU rotation before it is reported
   double significance = 5.0;        // standard deviations, before anything is
-  double max_gravity_error = 0.15;  // of the accelerometer's mean magnitude, relative
+  double max_gravity_error = 0.15;  // of the accelerometer's mean, relative
 };
 
 // Rotation and direction of translation between two images from bearings alone.

@@ -1,4 +1,5 @@
 // A calibration that is wrong is named within ten seconds of motion, and one that is right never is.
+#include <cmath>
 #include <functional>
 
 #include <gtest/gtest.h>
@@ -47,6 +48,19 @@ TEST(CalibrationCheck, SaysNothingOfARightCalibration) {
     const Verdict verdict = judge(*frames, downward_camera(), [](ImuSample&) {});
     EXPECT_EQ(verdict.complaint, "") << "after " << verdict.at << " s";
   }
+}
+
+TEST(CalibrationCheck, SaysNothingOfAnAirframeThatShakes) {
+  // 37 and 61 Hz, 5 m/s^2 and 0.1 rad/s an axis: the mean of what single samples measure is a quarter too much.
+  const Verdict verdict = judge(flight_over_flat_ground(), downward_camera(), [](ImuSample& sample) {
+    const double t = 1e-6 * static_cast<double>(sample.utime % 1'000'000'000);
+    for (int axis = 0; axis < 3; ++axis) {
+      const double tones = std::sin(2 * M_PI * 37 * t + axis) + std::sin(2 * M_PI * 61 * t + 2 * axis);
+      sample.accel[axis] += 5 * tones;
+      sample.gyro[axis] += 0.1 * tones;
+    }
+  });
+  EXPECT_EQ(verdict.complaint, "") << "after " << verdict.at << " s";
 }
 
 TEST(CalibrationCheck, NamesACameraRotationWrongByFiveDegrees) {
