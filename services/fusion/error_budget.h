@@ -1,8 +1,6 @@
 // What fixes are wrong by, each effect once: docs/fusion.md has the table.
 #pragma once
 
-#include <algorithm>
-
 #include <Eigen/Core>
 
 #include "services/fusion/factors.h"
@@ -24,10 +22,9 @@ inline Eigen::Vector3d shared_stddev(const FixOptions& fix) {
   return {fix.shared_horizontal_stddev, fix.shared_horizontal_stddev, fix.shared_vertical_stddev};
 }
 
-// How well the odometry knows its vertical at a keyframe, rad per axis.
+// How well the odometry knows its vertical at a keyframe, rad per axis: by its own word, at best as well as configured.
 inline double stddev_of_lean(const EdgeOptions& edge, const Keyframe& keyframe) {
-  const double word = keyframe.lean_stddev > 0 ? keyframe.lean_stddev : edge.lean_stddev;  // NaN: unknown
-  return std::max(word, edge.turn_walk);  // nobody knows it better than gyroscopes carry it for a second
+  return keyframe.lean_stddev > edge.lean_stddev ? keyframe.lean_stddev : edge.lean_stddev;  // NaN: unknown
 }
 
 // Of all that neighbouring fixes are off by, of one by itself that moves with the vertical of its keyframe by `lever`.

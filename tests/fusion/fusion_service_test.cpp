@@ -35,6 +35,7 @@ class FusionOnABus : public ::testing::Test {
     put(state.p_W_B, message.p_W_B);
     put(state.q_W_B, message.q_W_B);
     Eigen::Map<Eigen::Vector2d>{message.levelled} = state.levelled;
+    for (const int k : {3, 4}) message.pose_covariance[7 * k] = state.lean_stddev * state.lean_stddev;
     put(state.v_W_B, message.v_W_B);
     message.height_above_ground = 109.0;
     publish(channel::kVioState, message);
@@ -133,6 +134,7 @@ TEST_F(FusionOnABus, TakesAFixApartAsItsMessageSays) {
   // is written here by its place in the message, row by row.
   SyntheticOptions options{.duration = 40.0, .height = 285.0, .single_wrong_rate = 0.0};
   options.lean = Eigen::Vector2d(0.03, -0.01);
+  options.lean_word = 0.02;
   options.perspective_stddev = 0.002;
   options.fix_stddev = options.fix_vertical_stddev = 1.0;
   flight_ = make_flight(options, 1);
