@@ -11,7 +11,7 @@ struct EdgeOptions {
   double default_height = 150.0;        // m, where the height above ground is unknown
   double turn_walk = 0.000122;          // rad per axis and square root of a second, of the odometry's attitude
   bool use_odometry_covariance = true;  // in place of the above where the keyframe carries one, if it is larger
-  double lean_stddev = 0.00436;         // rad per axis, of the odometry's vertical, at least: its own word, if larger
+  double lean_stddev = 0.007;           // rad per axis, of the odometry's vertical, at least: its own word, if larger
   double scale_stddev = 0.02;           // of the odometry's scale, as a fraction
   double start_scale_stddev = 0.1;      // the same at the start of a session, when it is not settled yet
   double scale_time = 600.0;            // s, over which it forgets
