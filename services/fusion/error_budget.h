@@ -1,6 +1,8 @@
 // What fixes are wrong by, each effect once: docs/fusion.md has the table.
 #pragma once
 
+#include <algorithm>
+
 #include <Eigen/Core>
 
 #include "services/fusion/factors.h"
@@ -24,7 +26,10 @@ inline Eigen::Vector3d shared_stddev(const FixOptions& fix) {
 
 // How well the odometry knows its vertical at a keyframe, rad per axis: by its own word, at best as well as configured.
 inline double stddev_of_lean(const EdgeOptions& edge, const Keyframe& keyframe) {
-  return keyframe.lean_stddev > edge.lean_stddev ? keyframe.lean_stddev : edge.lean_stddev;  // NaN: unknown
+  constexpr double kNothing = 1.0;  // rad: who knows less knows nothing
+  const double word =
+      keyframe.lean_stddev > edge.lean_stddev ? keyframe.lean_stddev : edge.lean_stddev;  // NaN: unknown
+  return std::min(word, kNothing);
 }
 
 // Of all that neighbouring fixes are off by, of one by itself that moves with the vertical of its keyframe by `lever`.
