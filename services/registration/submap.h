@@ -5,13 +5,15 @@
 // where the fusion has one, over the whole map where it has none, and over ever more of it while no place convinces.
 // Over the whole map the submap is as long as it can be: of the older keyframes those are kept that see new ground.
 // There, until a fix has told the heading, and where the compass's heading leads to no clear place, the submap is
-// described and searched for under headings further off too, out to 4.5 of the compass's standard deviations.
-// A fit of translation, turn and scale and a pose with priors follow (place_fit.h); whether the place is believed says
+// described and searched for under headings further off too, out to 4.5 of the compass's standard deviations; without a
+// compass under all. submap.cpp has this much, submap_fix.cpp what follows:
+// a fit of translation, turn and scale and a pose with priors (place_fit.h); whether the place is believed says
 // acceptance.h, what is known of the odometry's scale known_scale.h.
 //
 // Not thread-safe; deterministic.
 #pragma once
 
+#include <cmath>
 #include <deque>
 #include <memory>
 #include <optional>
@@ -76,6 +78,13 @@ class SubmapRegistrar {
   Fix solve();
 
  private:
+  static constexpr int kTaught = 4;
+  static constexpr double kFineRadius = 32;  // m, the largest that is searched at full resolution at once
+  // Between the headings that are tried beside the compass's, or beside one that a place was found under, rad.
+  static constexpr double kTurnStep = 9 * M_PI / 180;
+  // What is described under another one than so near to the compass's, in its standard deviations, is not its word.
+  static constexpr double kOfTheCompass = 2;
+
   // A keyframe as described under one assumption on the heading, and what it says of every place.
   struct Variant {
     std::unique_ptr<View> view;
@@ -112,10 +121,11 @@ class SubmapRegistrar {
   std::vector<const View*> views(size_t variant, int count) const;
   Alignment expected(const View& view, size_t variant) const;
   std::vector<Alignment> alignments_for(size_t variant, const View& view, double lever, double step) const;
-  // With the newest keyframes, at full resolution, within radius_.
-  void search_as_wide();  // as radius_ says
+  // Under all headings that are to be tried, as wide as radius_ says.
+  void search_as_wide();
+  // With the newest keyframes, at full resolution, within radius_ of where the aircraft is expected.
   void search_nearby(size_t variant);
-  // With the whole submap, on the coarse grid first, within radius_ of the prior or everywhere.
+  // With the whole submap, on the coarse grid first, within radius_ of there or everywhere.
   void search_widely(size_t variant);
   void compare_at_full_resolution(const std::vector<PlaceCandidate>& coarse, const std::vector<Alignment>& candidates,
                                   size_t variant);
@@ -134,6 +144,8 @@ class SubmapRegistrar {
   bool is_expected(const Eigen::Vector2d& en) const;
   // Neither fixes nor the compass have said anything of it.
   bool is_heading_unknown() const;
+  // Whether fixes were enough for what they taught to be believed.
+  bool is_taught() const { return num_fixes_ >= kTaught; }
   // Of the points, how many stay where they are aligned to the map.
   double aligned_share(const Candidate& place) const;
   // The best different places, the likeliest first by likelihood and aligned points; nearby, the best one.
