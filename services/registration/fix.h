@@ -49,7 +49,8 @@ struct Fix {
   double heading_correction_stddev = kUnknown;  // rad
   double log_likelihood = kUnknown;
   double log_likelihood_ratio = kUnknown;
-  double evidence = kUnknown;       // for the place (method submap)
+  double log_odds = kUnknown;       // of the place against all others and none (method submap)
+  int num_hypotheses = 0;           // places that are considered (method submap)
   double search_radius = kUnknown;  // m
   int num_keyframes = 1;
   Upright upright;          // only method submap

@@ -72,6 +72,8 @@ void fill_fix(const Fix& fix, const EnuFrame& frame, map_fix_t& out) {
   out.log_likelihood_ratio = fix.log_likelihood_ratio;
   out.search_radius = fix.search_radius;
   out.num_keyframes = fix.num_keyframes;
+  out.log_odds = fix.log_odds;
+  out.num_hypotheses = fix.num_hypotheses;
   const Upright upright = fix.valid ? fix.upright : Upright();
   Eigen::Map<Eigen::Vector3d>(out.upright_p_G_B) = upright.p_G_B;
   Eigen::Map<Eigen::Matrix<double, 3, 3, Eigen::RowMajor>>(out.upright_covariance) = upright.covariance;

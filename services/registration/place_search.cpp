@@ -99,13 +99,13 @@ size_t closest(const std::vector<Alignment>& all, double yaw, const Alignment& t
   return static_cast<size_t>(std::min_element(all.begin(), all.end(), nearer) - all.begin());
 }
 
+}  // namespace
+
 EvidenceLine line_of(const Background& background, const EvidenceOptions& options) {
   return {background.product, 1 / background.stddev,
           background.mean / background.stddev + static_cast<float>(options.threshold),
           static_cast<float>(std::sqrt(options.limit))};
 }
-
-}  // namespace
 
 std::vector<Alignment> alignments(const Alignment& expected, double turn_stddev, double scale_stddev, double lever,
                                   double step) {

@@ -16,6 +16,7 @@
 #include <Eigen/Core>
 #include <Eigen/Geometry>
 
+#include "services/registration/dot_products.h"
 #include "services/registration/map_index.h"
 #include "services/registration/view.h"
 
@@ -45,6 +46,9 @@ struct EvidenceOptions {
   double threshold = 1;  // standard deviations above the mean from which a likeness counts
   double limit = 16;     // the most that one point can say
 };
+
+// What a point of this background says by its product with a feature.
+EvidenceLine line_of(const Background& background, const EvidenceOptions& options);
 
 // Likelihood of places on the coarse grid as one keyframe sees it, one picture for each alignment.
 struct CoarseLikelihood {

@@ -15,6 +15,7 @@
 #include "common/math/stamps.h"
 #include "services/registration/keyframe_message.h"
 #include "services/registration/map_message.h"
+#include "services/registration/place_message.h"
 
 namespace orthonav::registration {
 namespace {
@@ -30,7 +31,8 @@ constexpr size_t kImagesWaiting = 4;
 // Positions kept for keyframes to come, and how far from a keyframe's time one still says where it was, s.
 constexpr size_t kNavStates = 100;
 constexpr double kMaxNavAge = 5;
-constexpr double kNavSpeedStddev = 2;  // m/s by which a position gets worse until the keyframe's time
+constexpr int64_t kHypothesesPeriod = 500'000;  // microseconds between PLACE_HYPOTHESES, at least
+constexpr double kNavSpeedStddev = 2;           // m/s by which a position gets worse until the keyframe's time
 
 }  // namespace
 
@@ -85,6 +87,8 @@ RegistrationService::RegistrationService(Node& node, const Setup& setup)
   node_.subscribe<map_tile_t>(channel::kMapTile, Delivery::kAll, [this](const map_tile_t& tile) { handle(tile); });
   node_.subscribe<nav_state_t>(channel::kNavState, Delivery::kReplace,
                                [this](const nav_state_t& state) { handle(state); });
+  node_.subscribe<position_hint_t>(channel::kPositionHint, Delivery::kAll,
+                                   [this](const position_hint_t& hint) { handle(hint); });
   node_.expect(
       channel::kCompass);  // of CAMERA few images come where packets are lost, and keyframes as the flight has it
   node_.every(std::chrono::milliseconds(options_.request_period_ms), [this] { request_tiles(); });
@@ -182,6 +186,17 @@ void RegistrationService::handle(const nav_state_t& state) {
   if (!nav_states_.empty() && state.utime <= nav_states_.back().utime) nav_states_.clear();  // another flight
   nav_states_.push_back(state);
   if (nav_states_.size() > kNavStates) nav_states_.pop_front();
+}
+
+void RegistrationService::handle(const position_hint_t& hint) {
+  node_.health().add("hints.received");
+  std::string problem = area_of(hint, frame_).problem;
+  if (!uses_submap_) problem = fmt::format("method {} takes no hints", name_of(options_.registrar.method));
+  if (!problem.empty()) {
+    node_.health().reject("hint", "POSITION_HINT refused: " + problem);
+    return;
+  }
+  hint_ = hint;
 }
 
 std::optional<PositionPrior> RegistrationService::expected_position(int64_t utime) const {
@@ -349,6 +364,8 @@ Fix RegistrationService::register_image(const vio_keyframe_t& message, const cv:
   const Keyframe keyframe = keyframe_of(message);
   const Stopwatch describing(node_);
   if (uses_submap_) {
+    if (hint_) submap_.hint(area_of(*hint_, frame_).area);
+    hint_.reset();
     submap_.describe(keyframe, message.session, image, heading);
     out.describe_ms += describing.ms();
     const Stopwatch searching(node_);
@@ -387,10 +404,21 @@ void RegistrationService::publish(const vio_keyframe_t& keyframe, const Fix& fix
   out.heading_stddev = corrected ? fix.heading_correction_stddev : heading.known() ? heading.stddev : nan;
   if (!heading.known()) out.heading_correction = nan;
   node_.publish(channel::kMapFix, out);
+  if (uses_submap_) publish_hypotheses(keyframe);
   ++num_tried_;
   if (fix.valid) ++num_fixes_;
   node_.health().set("fixes.tried", static_cast<double>(num_tried_));
   node_.health().set("fixes.valid", static_cast<double>(num_fixes_));
+}
+
+void RegistrationService::publish_hypotheses(const vio_keyframe_t& keyframe) {
+  const PlaceBelief& belief = submap_.belief();
+  const auto& places = belief.hypotheses();
+  node_.health().set("place.hypotheses", static_cast<double>(places.size()));
+  node_.health().set("place.probability", places.empty() ? 0 : belief.probability(places.front().id));
+  if (std::abs(keyframe.utime - hypotheses_utime_) < kHypothesesPeriod) return;
+  hypotheses_utime_ = keyframe.utime;
+  node_.publish(channel::kPlaceHypotheses, hypotheses_message(belief, keyframe, frame_));
 }
 
 void RegistrationService::report_state() {

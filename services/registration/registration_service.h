@@ -24,6 +24,7 @@
 #include "orthonav/map_info_t.hpp"
 #include "orthonav/map_tile_t.hpp"
 #include "orthonav/nav_state_t.hpp"
+#include "orthonav/position_hint_t.hpp"
 #include "orthonav/vio_keyframe_t.hpp"
 #include "services/registration/heading_buffer.h"
 #include "services/registration/map_client.h"
@@ -62,6 +63,7 @@ class RegistrationService : public Service {
   void handle(const map_info_t& info);
   void handle(const map_tile_t& tile);
   void handle(const nav_state_t& state);
+  void handle(const position_hint_t& hint);
   void handle(const vio_keyframe_t& keyframe);
   void see_time(int64_t utime);
   bool has_map() const { return uses_submap_ ? submap_.has_map() : registrar_.has_map(); }
@@ -74,6 +76,7 @@ class RegistrationService : public Service {
   Fix register_image(const vio_keyframe_t& message, const cv::Mat& image, const Heading& heading, map_fix_t& out);
   std::optional<PositionPrior> expected_position(int64_t utime) const;
   void publish(const vio_keyframe_t& keyframe, const Fix& fix, const Heading& heading, map_fix_t& out);
+  void publish_hypotheses(const vio_keyframe_t& keyframe);
   void report_state();
 
   Node& node_;
@@ -97,6 +100,8 @@ class RegistrationService : public Service {
   std::string map_problem_;      // why the map on offer cannot be used
   std::string problem_fingerprint_;
   EnuFrame frame_{Geodetic{}};
+  std::optional<position_hint_t> hint_;  // for the next keyframe
+  int64_t hypotheses_utime_ = 0;         // of the newest PLACE_HYPOTHESES
   int64_t num_fixes_ = 0;
   int64_t num_tried_ = 0;
 };

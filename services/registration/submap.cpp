@@ -19,11 +19,6 @@ constexpr double kHeadingStep = 15 * kRadian;
 // How far from the compass's another heading is looked for, in its standard deviations.
 constexpr double kFurthestTurn = 4.5;
 
-// How far from the newest body (m) a turn counts, for alignments that are to miss nothing.
-double lever_of(const std::vector<const View*>& views) {
-  return 1.5 * spread_of(views);
-}
-
 }  // namespace
 
 SubmapOptions SubmapOptions::from_config(ConfigNode& node) {
@@ -38,10 +33,9 @@ SubmapOptions SubmapOptions::from_config(ConfigNode& node) {
   submap.read("min_radius", options.min_radius, 1, 1e6);
   submap.read("widening", options.widening, 1, 10);
   submap.read("second_distance", options.second_distance, 1, 1e6);
-  submap.read("min_likelihood_ratio", options.acceptance.min_likelihood_ratio, 0, 1e9);
-  submap.read("min_likelihood_share", options.acceptance.min_likelihood_share, 0, 1);
-  submap.read("min_evidence", options.acceptance.min_evidence, 0, 10);
-  submap.read("min_inliers", options.acceptance.min_inliers, 6, 10000);
+  submap.read("probability", options.probability, 0.5, 1);
+  submap.read("temperature", options.temperature, 1, 1000);
+  submap.read("min_inliers", options.min_inliers, 6, 10000);
   submap.read("scale_stddev", options.scale_stddev, 1e-4, 1);
   submap.read("lean", options.fit.lean, 0, 100);
   double tilt_stddev_deg = options.fit.tilt_stddev / kRadian;
@@ -96,7 +90,8 @@ bool SubmapRegistrar::describe(const Keyframe& keyframe, int session, const cv::
     fitted_yaw_.reset();
     scale_.forget();
     ground_ = {};
-    held_ = {};
+    belief_.clear();
+    p_W_.reset();
     num_fixes_ = 0;
   }
   places_.clear();
@@ -118,6 +113,7 @@ bool SubmapRegistrar::describe(const Keyframe& keyframe, int session, const cv::
   if (!refused_.empty()) return false;
   keyframes_.push_front(std::move(remembered));
   scale_.hear(keyframe.scale_stddev);
+  carry_places(keyframe.p_W_B.head<2>());
   thin_out();
   return true;
 }
@@ -182,18 +178,22 @@ Alignment SubmapRegistrar::expected(const View& view, size_t variant) const {
   return {wrap_angle(yaw() + turns()[variant] - view.yaw), std::exp(scale_.expected().log_scale)};
 }
 
+double SubmapRegistrar::turn_stddev(size_t variant) const {
+  return fitted_yaw_            ? kFittedTurnStddev
+         : is_heading_unknown() ? 0.25 * kHeadingStep
+         : variant > 0          ? 0.25 * kTurnStep
+                                : compass_stddev_;
+}
+
 std::vector<Alignment> SubmapRegistrar::alignments_for(size_t variant, const View& view, double lever,
                                                        double step) const {
-  const double turn_stddev = fitted_yaw_            ? kFittedTurnStddev
-                             : is_heading_unknown() ? 0.25 * kHeadingStep
-                             : variant > 0          ? 0.25 * kTurnStep
-                                                    : compass_stddev_;
-  return alignments(expected(view, variant), turn_stddev, scale_.searched_stddev(std::isinf(radius_), is_taught()),
-                    lever, step);
+  return alignments(expected(view, variant), turn_stddev(variant),
+                    scale_.searched_stddev(std::isinf(radius_), is_taught()), lever, step);
 }
 
 void SubmapRegistrar::search(const std::optional<PositionPrior>& prior) {
   if (!refused_.empty()) return;
+  prior_ = prior;
   const Eigen::Vector2d size = index_->pitch() * Eigen::Vector2d(index_->columns(), index_->rows());
   radius_ = std::numeric_limits<double>::infinity();
   expected_radius_ = 0;
@@ -210,6 +210,7 @@ void SubmapRegistrar::search(const std::optional<PositionPrior>& prior) {
     radius_ = std::numeric_limits<double>::infinity();
     search_as_wide();
   }
+  believe();
 }
 
 void SubmapRegistrar::search_as_wide() {
@@ -245,21 +246,13 @@ double SubmapRegistrar::likelihood_ratio(const Place& place, const Eigen::Vector
   return place.likelihood;
 }
 
-bool SubmapRegistrar::is_clear() const {
-  if (places_.empty()) return false;
-  const Place& best = places_.front();
-  const double ratio = likelihood_ratio(best, best.en);
-  return ratio >= options_.acceptance.min_likelihood_ratio &&
-         ratio >= options_.acceptance.min_likelihood_share * best.likelihood;
-}
-
 void SubmapRegistrar::search_nearby(size_t variant) {
   const std::vector<const View*> newest = views(variant, options_.pose_keyframes);
   const std::vector<Alignment> candidates =
       alignments_for(variant, *newest.front(), lever_of({newest.front()}), 1.5 * index_->pitch());
   for (const PlaceCandidate& place : best_fine_places(newest, *index_, candidates, expected_, radius_,
                                                       options_.second_distance, 2, options_.evidence)) {
-    places_.push_back({place.en, candidates[place.alignment], place.likelihood, variant});
+    places_.push_back({place.en, candidates[place.alignment], place.likelihood, variant, {}});
   }
 }
 
@@ -309,7 +302,7 @@ void SubmapRegistrar::compare_at_full_resolution(const std::vector<PlaceCandidat
     for (const PlaceCandidate& place :
          best_fine_places(views(variant, options_.max_keyframes), *index_, {alignment}, candidate.en,
                           3 * index_->pitch(), options_.second_distance, 1, options_.evidence)) {
-      places_.push_back({place.en, alignment, place.likelihood, variant});
+      places_.push_back({place.en, alignment, place.likelihood, variant, {}});
     }
   }
 }

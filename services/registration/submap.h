@@ -7,8 +7,9 @@
 // There, until a fix has told the heading, and where the compass's heading leads to no clear place, the submap is
 // described and searched for under headings further off too, out to 4.5 of the compass's standard deviations; without a
 // compass under all. submap.cpp has this much, submap_fix.cpp what follows:
-// a fit of translation, turn and scale and a pose with priors (place_fit.h); whether the place is believed says
-// acceptance.h, what is known of the odometry's scale known_scale.h.
+// a fit of translation, turn and scale and a pose with priors (place_fit.h). What each place has to say for itself is
+// place_evidence.h's, which of them is believed place_belief.h's, what is known of the odometry's scale
+// known_scale.h's.
 //
 // Not thread-safe; deterministic.
 #pragma once
@@ -22,10 +23,10 @@
 
 #include "common/camera/camera_model.h"
 #include "common/config/config.h"
-#include "services/registration/acceptance.h"
 #include "services/registration/fix.h"
-#include "services/registration/held_place.h"
 #include "services/registration/known_scale.h"
+#include "services/registration/place_belief.h"
+#include "services/registration/place_evidence.h"
 #include "services/registration/place_fit.h"
 #include "services/registration/place_search.h"
 #include "services/registration/view.h"
@@ -43,8 +44,10 @@ struct SubmapOptions {
   double widening = 1.5;          // factor of the radius for each keyframe without a fix
   double second_distance = 15;    // m: places further from the best are other places
   double scale_stddev = 0.025;    // of the odometry's scale: sought on the whole map, and where it does not say
-  AcceptanceOptions acceptance;
-  int coarse_places = 12;  // of the coarse grid that are compared at full resolution
+  double probability = 0.999;     // of a place that is believed
+  double temperature = 6.5;       // by which what points say of a place is divided: neighbours err together
+  int min_inliers = 8;            // of a fix
+  int coarse_places = 12;         // of the coarse grid that are compared at full resolution
   EvidenceOptions evidence;
   FitOptions fit;
 
@@ -69,6 +72,9 @@ class SubmapRegistrar {
   // Before a map with another G.
   void clear_map();
 
+  // Where a person says that the aircraft is, now: believed so far until the first fix.
+  void hint(const ExpectedArea& area) { hint_ = area; }
+
   // The three stages of a keyframe, to be called in this order for each; separate so that the caller can time them.
   // `session` is the odometry's: another one begins a new submap. `image` is kept, not copied: not to be changed
   // afterwards. Throw std::logic_error without a map. The return value says whether the keyframe can be used; why not
@@ -76,6 +82,9 @@ class SubmapRegistrar {
   bool describe(const Keyframe& keyframe, int session, const cv::Mat& image, const Heading& heading);
   void search(const std::optional<PositionPrior>& prior);
   Fix solve();
+
+  // What is believed of the place, after search().
+  const PlaceBelief& belief() const { return belief_; }
 
  private:
   static constexpr int kTaught = 4;
@@ -96,12 +105,14 @@ class SubmapRegistrar {
 
     const Keyframe& keyframe() const { return variants.front().view->keyframe; }
   };
-  // A place, and the heading it was found under.
+  // A place, the heading it was found under, and the hypothesis that it is.
   struct Place {
     Eigen::Vector2d en;
     Alignment alignment;
     double likelihood = 0;
     size_t variant = 0;
+    std::optional<double>
+        evidence;  // log-likelihood ratio of the submap against ground of no relation; unset: not weighed
   };
   struct Candidate {
     Place place;
@@ -111,6 +122,8 @@ class SubmapRegistrar {
   std::vector<double> turns() const;
   // Rotation about z that takes W to G, as fixes have it or else the compass.
   double yaw() const { return fitted_yaw_.value_or(compass_yaw_); }
+  // How far from the newest body (m) a turn counts, for alignments that are to miss nothing.
+  static double lever_of(const std::vector<const View*>& views) { return 1.5 * spread_of(views); }
   Variant described(const Keyframe& keyframe, const cv::Mat& image, double turn) const;
   // Describes the keyframes under those of the turns under which they are not yet.
   void describe_turned(const std::vector<double>& turns);
@@ -120,6 +133,8 @@ class SubmapRegistrar {
   void thin_out();
   std::vector<const View*> views(size_t variant, int count) const;
   Alignment expected(const View& view, size_t variant) const;
+  // How well the heading is known that a variant was described under, rad.
+  double turn_stddev(size_t variant) const;
   std::vector<Alignment> alignments_for(size_t variant, const View& view, double lever, double step) const;
   // Under all headings that are to be tried, as wide as radius_ says.
   void search_as_wide();
@@ -132,8 +147,26 @@ class SubmapRegistrar {
   void sort_places();
   // Log-likelihood of a place less that of the best one elsewhere: neither where it was found nor where it was fitted.
   double likelihood_ratio(const Place& place, const Eigen::Vector2d& fitted) const;
-  // Whether the best place found stands out among the others.
-  bool is_clear() const;
+  // What is believed, and what was hinted at, to where the odometry has come.
+  void carry_places(const Eigen::Vector2d& p_W);
+  // Turns and scales what is in W under this alignment.
+  Eigen::Matrix2d G_W(const Place& place) const;
+  // What is known of the place beside what is seen.
+  PlacePrior place_prior() const;
+  // Leaves of the places found in one spot the likeliest, and says of each what speaks for it.
+  void weigh();
+  // What the belief makes of the places weighed.
+  PlaceBelief supposed() const;
+  // Whether one of the places found, or known, is sure.
+  bool is_clear();
+  // Where a hypothesis is taken to be, as a place.
+  Place place_of(const PlaceHypothesis& hypothesis) const;
+  // Where a hypothesis was found, or where it was carried to.
+  Place found_or_carried(const PlaceHypothesis& hypothesis) const;
+  // The hypothesis that is sure and was so firmly, if the best place found is where it is.
+  const PlaceHypothesis* confirmed() const;
+  // Puts what was found to what is believed.
+  void believe();
   // What earlier fixes or else the compass, and the odometry, say.
   FitPrior fit_prior(size_t variant) const;
   // Of the newest keyframes; without inliers where that fails.
@@ -148,8 +181,6 @@ class SubmapRegistrar {
   bool is_taught() const { return num_fixes_ >= kTaught; }
   // Of the points, how many stay where they are aligned to the map.
   double aligned_share(const Candidate& place) const;
-  // The best different places, the likeliest first by likelihood and aligned points; nearby, the best one.
-  std::vector<Candidate> fit_best_places() const;
   // A patch described under a heading that is off fits best where that heading puts it, and the fit believes it.
   // Describes what poses are made of under the headings to either side of what was fitted, further while the place
   // looks more like itself, and fits again. Not under the scale: few points of a first fix tell it badly, and the next
@@ -160,8 +191,6 @@ class SubmapRegistrar {
   // Where few of the newest points stay aligned, asks the whole submap, and fits again where it says. How far (m) the
   // fit is from there if that does not help, 0 if they agree.
   double agree_with_submap(Candidate& candidate) const;
-  // Follows the best place from keyframe to keyframe; how much new ground it has held over.
-  int hold(const Place& place);
   void miss();
   void learn_from(const PlaceFit& fit, const FittedPose& pose, size_t variant);
 
@@ -179,14 +208,19 @@ class SubmapRegistrar {
   double compass_stddev_ = 0;  // rad, of its newest heading
   std::optional<double> fitted_yaw_;
   KnownScale scale_;
-  GroundLevel ground_;   // of the session's fixes
-  HeldPlace held_;       // of the session's keyframes that were searched for widely
+  GroundLevel ground_;                  // of the session's fixes
+  std::optional<Eigen::Vector2d> p_W_;  // m, of the newest keyframe of the session
+  std::optional<ExpectedArea> hint_;    // carried along
+  PlaceBelief belief_;                  // of the session
+  bool is_firm_ = false;  // of the newest fix's points so many stayed that no other place has to be asked for
+
   int without_fix_ = 0;  // keyframes since the last fix
   int widened_ = 0;      // those since the last fix where the aircraft was expected
   int num_fixes_ = 0;    // of the session
 
   std::string refused_;
   std::vector<Place> places_;
+  std::optional<PositionPrior> prior_;
   double radius_ = 0;
   // Where the aircraft is expected, m: the search is widened beyond that where it was not found there of late.
   Eigen::Vector2d expected_ = Eigen::Vector2d::Zero();

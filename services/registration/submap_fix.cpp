@@ -22,12 +22,6 @@ constexpr double kTaughtStddev = 0.003;
 // Of the newest points, the share that has to stay aligned for their fit to be believed without asking the rest of the
 // submap: with less, fits over crops in rows and woods were rows and crowns off, up to 25 m.
 constexpr double kSureShare = 0.2;
-// What the share of points that stay aligned with the map counts, beside the likelihood as a share of the highest,
-// where places are put in order: the points are those of the newest keyframes, which may see a wood, the likelihood is
-// the whole submap's. At 3, `rural` 5 `years` took the less likely of two places for 40 s.
-constexpr double kInlierOrder = 1.2;
-// Places to which matches are aligned, to compare how many stay.
-constexpr size_t kPlacesFitted = 3;
 
 }  // namespace
 
@@ -60,15 +54,6 @@ void SubmapRegistrar::learn_from(const PlaceFit& fit, const FittedPose& pose, si
   }
 }
 
-// Nearby any place agrees with any other: it is no news that it held.
-int SubmapRegistrar::hold(const Place& place) {
-  if (is_nearby()) return 0;
-  const View& newest = *keyframes_.front().variants[place.variant].view;
-  held_.found(newest.keyframe.p_W_B.head<2>(), place.en, place.alignment.from_W(newest.yaw), options_.second_distance,
-              options_.keyframe_spacing * newest.keyframe.height_above_ground);
-  return held_.new_ground();
-}
-
 FitPrior SubmapRegistrar::fit_prior(size_t variant) const {
   const ScaleBelief scale = scale_.before_fit();
   FitPrior prior;
@@ -91,32 +76,6 @@ PlaceFit SubmapRegistrar::fit_at(const Eigen::Vector2d& en, const Alignment& ali
                            fit_prior(variant), options_.fit);
   if (!fit.ok) fit.inliers = 0;
   return fit;
-}
-
-std::vector<SubmapRegistrar::Candidate> SubmapRegistrar::fit_best_places() const {
-  std::vector<Candidate> candidates;
-  const auto is_near = [&](const Eigen::Vector2d& a, const Eigen::Vector2d& b) {
-    return (a - b).norm() < options_.second_distance;
-  };
-  const size_t most = is_nearby() ? 1 : kPlacesFitted;
-  size_t fitted = 0;
-  for (const Place& place : places_) {
-    if (fitted == most) break;
-    const auto known = [&](const Candidate& other) { return is_near(other.place.en, place.en); };
-    if (std::any_of(candidates.begin(), candidates.end(), known)) continue;
-    ++fitted;
-    Candidate candidate{place, fit_at(place.en, place.alignment, place.variant)};
-    // The fit of the flank of a better place ends there.
-    const auto same = [&](const Candidate& other) { return is_near(other.fit.en, candidate.fit.en); };
-    if (std::none_of(candidates.begin(), candidates.end(), same)) candidates.push_back(std::move(candidate));
-  }
-  const double most_likely = places_.front().likelihood;
-  const auto order = [&](const Candidate& each) {
-    return each.place.likelihood / most_likely + kInlierOrder * aligned_share(each);
-  };
-  std::stable_sort(candidates.begin(), candidates.end(),
-                   [&](const Candidate& a, const Candidate& b) { return order(a) > order(b); });
-  return candidates;
 }
 
 double SubmapRegistrar::submap_give() const {
@@ -208,41 +167,39 @@ Fix SubmapRegistrar::solve() {
   if (!fix.reason.empty()) return fix;
   fix.search_radius = radius_;
   for (const View* view : views(0, options_.max_keyframes)) fix.num_query += static_cast<int>(view->points.size());
-  if (places_.empty()) {
-    held_.not_found();
+  fix.num_hypotheses = static_cast<int>(belief_.hypotheses().size());
+  if (belief_.hypotheses().empty()) {
     miss();
     fix.reason = "no place on the map looks like the submap";
     return fix;
   }
-  std::vector<Candidate> candidates = fit_best_places();
-  const double disagreement = agree_with_submap(candidates.front());
-  const Candidate& best = candidates.front();
+  const PlaceHypothesis hypothesis = belief_.hypotheses().front();
+  Candidate best{found_or_carried(hypothesis), {}};
+  best.fit = fit_at(best.place.en, best.place.alignment, best.place.variant);
+  const double disagreement = agree_with_submap(best);
   fix.log_likelihood = best.place.likelihood;
   fix.log_likelihood_ratio = likelihood_ratio(best.place, best.fit.en);
+  fix.log_odds = belief_.log_odds(hypothesis.id);
   const PlaceFit& fit = best.fit;
   fix.num_inliers = static_cast<int>(fit.inliers);
-  if (candidates.size() > 1) fix.num_second_inliers = static_cast<int>(candidates[1].fit.inliers);
-  const Standing standing{
-      .log_likelihood = fix.log_likelihood,
-      .log_likelihood_ratio = fix.log_likelihood_ratio,
-      .aligned_share = aligned_share(best),
-      .inliers = fix.num_inliers,
-      .held = hold(best.place),
-      .num_keyframes = fix.num_keyframes,
-      .is_expected = is_nearby() && is_expected(fit.en),
-  };
-  scale_.saw(standing.aligned_share);
-  fix.evidence = evidence(standing);
-  fix.reason = doubt(standing, options_.acceptance);
-  if (fix.reason.empty() && is_nearby() && !standing.is_expected) {
-    fix.reason = "it fits beyond where the aircraft is expected, and was looked for";
+  scale_.saw(aligned_share(best));
+  is_firm_ = aligned_share(best) >= kSureShare;
+  if (belief_.probability(hypothesis.id) < options_.probability) {
+    fix.reason = fmt::format("the place is not sure: {} possible, the likeliest of {:.1f} %, none of them of {:.1f} %",
+                             fix.num_hypotheses, 100 * belief_.probability(hypothesis.id), 100 * belief_.none());
+  } else if (fix.num_inliers < options_.min_inliers) {
+    fix.reason = fmt::format("{} inliers, {} are needed", fix.num_inliers, options_.min_inliers);
+  } else if (const PlaceHypothesis* fitted = belief_.agreeing(fit.en, submap_give());
+             fitted == nullptr || fitted->id != hypothesis.id) {
+    fix.reason =
+        fmt::format("its matches lead {:.0f} m away from the place that is sure", (fit.en - hypothesis.en).norm());
   }
   if (fix.reason.empty() && disagreement > 0) {
     fix.reason =
         fmt::format("the whole submap looks like a place {:.0f} m from where its newest keyframes fit", disagreement);
   }
   if (fix.reason.empty() && !fitted_yaw_) {
-    find_heading(candidates.front());
+    find_heading(best);
     fix.num_inliers = static_cast<int>(fit.inliers);
   }
   const View& newest = *views(best.place.variant, 1).front();
@@ -290,11 +247,14 @@ Fix SubmapRegistrar::solve() {
     fix.heading_correction_stddev = pose.yaw_stddev;
   }
   if (fix.reason.empty() && !pose.ok) fix.reason = "the matches give no pose";
+  const double fix_stddev = std::sqrt(0.5 * fix.covariance.topLeftCorner<2, 2>().trace());
   fix.valid = fix.reason.empty();
   if (!fix.valid) {
     miss();
     return fix;
   }
+  belief_.correct(hypothesis.id, pose.p_G_B.head<2>(), fit.alignment.from_W(newest.yaw), fix_stddev);
+  hint_.reset();
   ground_ = std::move(ground);
   learn_from(fit, pose, best.place.variant);
   return fix;

@@ -20,6 +20,7 @@
 #include "orthonav/map_tile_request_t.hpp"
 #include "orthonav/map_tile_t.hpp"
 #include "orthonav/nav_state_t.hpp"
+#include "orthonav/position_hint_t.hpp"
 #include "orthonav/vio_keyframe_t.hpp"
 #include "orthonav/vio_reset_t.hpp"
 #include "orthonav/vio_state_t.hpp"
@@ -58,6 +59,7 @@ const std::vector<Target>& targets() {
                                        target<map_tile_t>(channel::kMapTile),
                                        target<map_tile_request_t>(channel::kMapTileRequest),
                                        target<map_fix_t>(channel::kMapFix),
+                                       target<position_hint_t>(channel::kPositionHint),
                                        target<nav_state_t>(channel::kNavState),
                                        target<health_t>(channel::kHealth)};
   return all;

@@ -17,6 +17,8 @@
 #include "orthonav/map_tile_request_t.hpp"
 #include "orthonav/map_tile_t.hpp"
 #include "orthonav/nav_state_t.hpp"
+#include "orthonav/place_hypotheses_t.hpp"
+#include "orthonav/position_hint_t.hpp"
 #include "orthonav/truth_t.hpp"
 #include "orthonav/vio_keyframe_t.hpp"
 #include "orthonav/vio_reset_t.hpp"
@@ -126,6 +128,8 @@ extern "C" int LLVMFuzzerTestOneInput(const uint8_t* data, size_t size) {
                                    only_decode<nav_state_t>,
                                    only_decode<health_t>,
                                    only_decode<vio_reset_t>,
+                                   only_decode<place_hypotheses_t>,
+                                   only_decode<position_hint_t>,
                                    image_part};
   kTypes[data[0] % std::size(kTypes)](data + 1, size - 1);
   return 0;

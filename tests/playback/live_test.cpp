@@ -144,7 +144,7 @@ TEST_F(LiveFlight, AnyServiceKilledIsNavigatingAgainWithinFiveSecondsAndTheOther
   for (const char* channel :
        {channel::kImu, channel::kCamera, channel::kCompass, channel::kVioState, channel::kVioKeyframe,
         channel::kKeyframeImage, channel::kMapInfo, channel::kMapTile, channel::kMapTileRequest, channel::kMapFix,
-        channel::kNavState, channel::kVioReset, channel::kHealth}) {
+        channel::kNavState, channel::kVioReset, channel::kPositionHint, channel::kPlaceHypotheses, channel::kHealth}) {
     for (int i = 0; i < 100; ++i) bus.publish(channel, garbage.data(), static_cast<unsigned>(garbage.size()));
   }
   const size_t count = nav.messages.size();
@@ -175,6 +175,32 @@ TEST_F(LiveFlight, TheOdometryBeginsAnewOnRequest) {
   EXPECT_EQ(vio->wait_exit(10s), 0);
   ChildProcess unheard({test::program("orthonav-reset")}, test::flight_folder() / "reset.txt");
   EXPECT_EQ(unheard.wait_exit(10s), 2);
+}
+
+TEST_F(LiveFlight, RegistrationTakesAPersonsHint) {
+  lcm::LCM bus;
+  ASSERT_TRUE(bus.good());
+  const auto hint = [](const std::vector<std::string>& arguments) {
+    std::vector<std::string> command{test::program("orthonav-hint")};
+    command.insert(command.end(), arguments.begin(), arguments.end());
+    ChildProcess process(command, test::flight_folder() / "hint.txt");
+    return process.wait_exit(20s);
+  };
+  auto registration = start("registration");
+  Collector<health_t> heartbeats(bus, channel::kHealth);
+  ASSERT_TRUE(handle_until(
+      bus, [&] { return !heartbeats.messages.empty(); }, 20s));
+  EXPECT_EQ(hint({"48.1", "11.5", "--radius", "300"}), 0);
+  EXPECT_EQ(hint({"--box", "48", "11", "48.1", "11.1"}), 0);
+  EXPECT_EQ(hint({"--polygon", "48", "11", "48.1", "11", "48.1", "11.1"}), 0);
+  EXPECT_EQ(hint({"-29.2", "-51.9", "--radius", "300"}), 0);
+  EXPECT_EQ(hint({"48.1", "11.5", "--radius", "1e9"}), 1) << "as large as the Earth";
+  EXPECT_EQ(hint({"98.1", "11.5", "--radius", "300"}), 3);
+  EXPECT_EQ(hint({"48.1", "11.5"}), 3) << "no radius";
+  EXPECT_EQ(hint({}), 3);
+  registration->signal(SIGTERM);
+  EXPECT_EQ(registration->wait_exit(10s), 0);
+  EXPECT_EQ(hint({"48.1", "11.5", "--radius", "300"}), 2);
 }
 
 TEST_F(LiveFlight, AMisspeltKeyEndsAServiceWithFileAndLine) {

@@ -149,7 +149,7 @@ void run(const Arguments& arguments) {
                  fix.num_query, fix.num_second_inliers, fix.valid ? 1 : 0, error.x(), error.y(), error.z(),
                  std::sqrt(fix.covariance(0, 0)), std::sqrt(fix.covariance(2, 2)), fix.scale, fix.scale_stddev,
                  180 / M_PI * wrap_angle(used - is.heading), 180 / M_PI * wrap_angle(heading.value - is.heading),
-                 end - start, is.map_offset.x(), is.map_offset.y(), fix.evidence, fix.reason);
+                 end - start, is.map_offset.x(), is.map_offset.y(), fix.log_odds, fix.reason);
     }
   };
   for_each_keyframe(arguments.log, map.frame, aircraft.declination, true, judge);

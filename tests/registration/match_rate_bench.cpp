@@ -422,7 +422,7 @@ void run_growth(const Arguments& arguments) {
   for (const int64_t count : arguments.features) {
     MapFeatures plain = plain_around(real, geometry.keypoint_stride * geometry.metres_per_pixel, count);
     SubmapOptions submap_options;
-    submap_options.acceptance.min_inliers = 1 << 30;  // never accepted: every search is over the whole map
+    submap_options.min_inliers = 1 << 30;  // never accepted: every search is over the whole map
     SubmapRegistrar submap(submap_options, camera);
     RegistrarOptions options;
     options.method = method;

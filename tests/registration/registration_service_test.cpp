@@ -12,7 +12,10 @@
 
 #include "common/bus/channels.h"
 #include "common/bus/image_parts.h"
+#include "orthonav/health_t.hpp"
 #include "orthonav/map_tile_request_t.hpp"
+#include "orthonav/place_hypotheses_t.hpp"
+#include "orthonav/position_hint_t.hpp"
 #include "tests/faults/vandal.h"
 #include "tests/registration/synthetic_flight.h"
 #include "tests/support/bus_client.h"
@@ -103,8 +106,8 @@ class FakeMapServer {
 
 class RegistrationOnTheBus : public testing::Test {
  protected:
-  RegistrationOnTheBus() {
-    std::ofstream(folder_ / "registration.yaml") << "method: paper\n";
+  explicit RegistrationOnTheBus(const std::string& method = "paper") {
+    std::ofstream(folder_ / "registration.yaml") << "method: " << method << "\n";
     std::ofstream(folder_ / "aircraft.yaml")
         << "magnetic_declination_deg: 4\nimu: {gravity: 9.81}\n"
            "camera: {width: 320, height: 240, fx: 400, fy: 400, cx: 161.5, cy: 118.2, model: radtan, "
@@ -514,6 +517,76 @@ TEST_F(RegistrationOnTheBus, AMapOfNoUseDoesNotDisplaceTheOneInUse) {
   send_all(now_, 1);
   ASSERT_EQ(fixes_.messages.size(), 1u);
   expect_fix(fixes_.messages.front());
+}
+
+TEST_F(RegistrationOnTheBus, AHintIsRefusedByNameWhereItSaysNothingOrTheMethodTakesNone) {
+  fetch_map();
+  send_all(now_, 1);
+  pass(1);
+  test::Collector<health_t> heartbeats(bus_, channel::kHealth);
+  position_hint_t hint{};
+  hint.latitude_deg = 48;
+  hint.longitude_deg = 11;
+  hint.radius = 50;
+  bus_.publish(channel::kPositionHint, &hint);
+  pass(2);
+  EXPECT_EQ(node_.health().counter("hints.received"), 1);
+  EXPECT_EQ(node_.health().counter("rejected.hint"), 1);
+  ASSERT_FALSE(heartbeats.messages.empty());
+  EXPECT_THAT(heartbeats.messages.back().message, HasSubstr("method paper takes no hints"));
+  EXPECT_EQ(node_.health().counter("place.hypotheses"), 0);
+}
+
+// The method that orthonav ships with.
+class SubmapOnTheBus : public RegistrationOnTheBus {
+ protected:
+  SubmapOnTheBus() : RegistrationOnTheBus("submap") {}
+  // The keyframes of a flight east, a second apart.
+  void fly(int keyframes) {
+    for (int i = 0; i < keyframes; ++i) {
+      capture_ = fields_.capture({60.0 + 10 * ++flown_, -80, 60}, 1.2, 0.03, -0.04);
+      pass(1);
+      send_all(now_, flown_);
+    }
+  }
+  SyntheticFields fields_{1};
+  FakeMapServer fields_server_{bus_, "cccccccccccccccc", described_map(fields_)};
+  test::Collector<place_hypotheses_t> places_{bus_, channel::kPlaceHypotheses};
+  int flown_ = 0;
+};
+
+TEST_F(SubmapOnTheBus, SaysWhichPlacesItConsidersUntilOneIsSureAndTakesAHint) {
+  fields_server_.info_.features = "rootsift";
+  fields_server_.info_.keypoint_size = 12;
+  fields_server_.announce();
+  pump();
+  pass(3);
+  position_hint_t hint{};
+  const EnuFrame frame({48, 11, 500});
+  const Geodetic there = frame.to_geodetic({75, -75, 0});
+  hint.latitude_deg = there.latitude_deg;
+  hint.longitude_deg = there.longitude_deg;
+  hint.radius = 60;
+  bus_.publish(channel::kPositionHint, &hint);
+  hint.radius = -1;
+  bus_.publish(channel::kPositionHint, &hint);
+  pump();
+  EXPECT_EQ(node_.health().counter("hints.received"), 2);
+  EXPECT_EQ(node_.health().counter("rejected.hint"), 1);
+  fly(4);
+  ASSERT_EQ(fixes_.messages.size(), 4u);
+  const map_fix_t& fix = fixes_.messages.back();
+  expect_fix(fix);
+  EXPECT_GT(fix.log_odds, std::log(999.0));
+  EXPECT_GE(fix.num_hypotheses, 1);
+  ASSERT_EQ(places_.messages.size(), 4u) << "keyframes come a second apart";
+  const place_hypotheses_t& places = places_.messages.back();
+  EXPECT_EQ(places.utime, fix.utime);
+  ASSERT_GE(places.num_hypotheses, 1);
+  EXPECT_GT(places.hypotheses[0].probability, 0.999);
+  const Eigen::Vector3d en = frame.to_enu({places.hypotheses[0].latitude_deg, places.hypotheses[0].longitude_deg, 500});
+  EXPECT_LT((en - capture_.p_G_B).head<2>().norm(), 5);
+  EXPECT_NEAR(node_.health().counter("place.probability"), places.hypotheses[0].probability, 1e-9);
 }
 
 }  // namespace
