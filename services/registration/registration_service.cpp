@@ -404,7 +404,8 @@ void RegistrationService::publish(const vio_keyframe_t& keyframe, const Fix& fix
   out.heading_stddev = corrected ? fix.heading_correction_stddev : heading.known() ? heading.stddev : nan;
   if (!heading.known()) out.heading_correction = nan;
   node_.publish(channel::kMapFix, out);
-  if (uses_submap_) publish_hypotheses(keyframe);
+  const bool searched = !std::isnan(fix.search_radius);  // else the belief is of an earlier keyframe
+  if (searched) publish_hypotheses(keyframe);
   ++num_tried_;
   if (fix.valid) ++num_fixes_;
   node_.health().set("fixes.tried", static_cast<double>(num_tried_));

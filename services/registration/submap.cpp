@@ -71,6 +71,7 @@ void SubmapRegistrar::clear_map() {
   index_.reset();
   keyframes_.clear();
   session_ = -1;
+  hint_.reset();  // it was told in the other G
 }
 
 std::vector<const View*> SubmapRegistrar::views(size_t variant, int count) const {
