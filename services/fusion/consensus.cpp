@@ -2,17 +2,32 @@
 
 #include <algorithm>
 #include <cmath>
+#include <numeric>
 
 #include <Eigen/Cholesky>
 
 #include "common/math/so3.h"
 #include "services/fusion/error_budget.h"
+#include "services/fusion/pose_graph.h"
 
 namespace orthonav::fusion {
 namespace {
 
+// Mahalanobis distance below which two fixes agree about the motion between them.
+constexpr double kAgreement = 3.0;
+
 Eigen::Vector3d turn(double yaw, const Eigen::Vector3d& v) {
   return Eigen::AngleAxisd(yaw, Eigen::Vector3d::UnitZ()) * v;
+}
+
+// Both headings come from one compass: the difference between them is no evidence, their mean is the estimate.
+double mean_yaw(const Sighting& a, const Sighting& b) {
+  return a.yaw_G_W + 0.5 * wrap_angle(b.yaw_G_W - a.yaw_G_W);
+}
+
+bool are_apart(const Sighting& a, const Sighting& b) {
+  const Eigen::Vector3d moved = turn(mean_yaw(a, b), b.keyframe.p_W_B - a.keyframe.p_W_B);
+  return (b.p_G_B - a.p_G_B - moved).head<2>().norm() > kPlaceSize;
 }
 
 }  // namespace
@@ -23,8 +38,7 @@ void Sighting::place_in(const EnuFrame& frame) {
 }
 
 double disagreement(const Sighting& a, const Sighting& b, const FusionOptions& options) {
-  // Both headings come from one compass: the difference between them is no evidence, their mean is the estimate.
-  const double yaw = a.yaw_G_W + 0.5 * wrap_angle(b.yaw_G_W - a.yaw_G_W);
+  const double yaw = mean_yaw(a, b);
   const double yaw_stddev = std::max(a.yaw_stddev, b.yaw_stddev);
   const Eigen::Vector3d moved = turn(yaw, b.keyframe.p_W_B - a.keyframe.p_W_B);
   const Eigen::Vector3d sideways = Eigen::Vector3d::UnitZ().cross(moved);
@@ -50,38 +64,48 @@ double disagreement(const Sighting& a, const Sighting& b, const FusionOptions& o
   return error.dot(covariance.llt().solve(error));
 }
 
-std::optional<Consensus> find_consensus(const std::vector<Sighting>& sightings, size_t needed,
+double Consensus::log_odds(const FusionOptions& options) const {
+  const double here = agreement.place_log_odds(agreement.newest_utime(), options.lock);
+  return here - std::log1p(std::exp(rival_log_odds));
+}
+
+std::optional<Consensus> find_consensus(const std::vector<Sighting>& sightings, double at_least,
                                         const FusionOptions& options) {
   if (sightings.empty()) return std::nullopt;
-  const double limit = options.gate.agreement * options.gate.agreement;
-  auto agree = [&](size_t a, size_t b) { return a == b || disagreement(sightings[a], sightings[b], options) < limit; };
-  // Those that agree with the newest; mostly too few, and the search ends here.
-  std::vector<size_t> near;
-  for (size_t i = 0; i < sightings.size(); ++i) {
-    if (agree(i, sightings.size() - 1)) near.push_back(i);
-  }
-  Consensus best;
-  for (size_t k = near.size(); k-- > 0 && near.size() >= needed;) {
+  const int64_t now = sightings.back().keyframe.utime;
+  const auto agree = [&](size_t a, size_t b) {
+    return a == b || disagreement(sightings[a], sightings[b], options) < kAgreement * kAgreement;
+  };
+  // Those of `all` that agree with one of them.
+  const auto around = [&](size_t centre, const std::vector<size_t>& all) {
     Consensus consensus;
-    for (const size_t other : near) {
-      if (agree(near[k], other)) consensus.members.push_back(other);
+    for (const size_t other : all) {
+      if (!agree(centre, other)) continue;
+      consensus.members.push_back(other);
+      const Keyframe& keyframe = sightings[other].keyframe;
+      consensus.agreement.add(keyframe, sightings[other].fix, working_height(options.edge, keyframe), options.lock);
     }
-    // From the newest on: it wins a draw, because less odometry lies between it and now.
-    if (consensus.members.size() > best.members.size()) best = consensus;
-  }
-  if (best.members.size() < needed) return std::nullopt;
-
-  const Eigen::Vector3d from = sightings[best.members.front()].keyframe.p_W_B;
-  for (const size_t member : best.members) {
-    best.span = std::max(best.span, (sightings[member].keyframe.p_W_B - from).head<2>().norm());
+    return consensus;
+  };
+  const auto log_odds = [&](const Consensus& set) { return set.agreement.place_log_odds(now, options.lock); };
+  std::vector<size_t> all(sightings.size());
+  std::iota(all.begin(), all.end(), size_t{0});
+  // Mostly they are too few, and the search ends here.
+  const Consensus near = around(sightings.size() - 1, all);
+  if (log_odds(near) < at_least) return std::nullopt;
+  Consensus best;
+  // From the newest on: it wins a draw, because less odometry lies between it and now.
+  for (size_t k = near.members.size(); k-- > 0;) {
+    const Consensus consensus = around(near.members[k], near.members);
+    if (best.members.empty() || log_odds(consensus) > log_odds(best)) best = consensus;
   }
   std::vector<size_t> others;
-  for (size_t i = 0; i < sightings.size(); ++i) {
+  for (const size_t i : all) {
     if (!std::binary_search(best.members.begin(), best.members.end(), i)) others.push_back(i);
   }
   for (const size_t centre : others) {
-    const auto count = std::count_if(others.begin(), others.end(), [&](size_t i) { return agree(centre, i); });
-    best.rivals = std::max(best.rivals, static_cast<size_t>(count));
+    if (!are_apart(sightings[centre], sightings.back())) continue;
+    best.rival_log_odds = std::max(best.rival_log_odds, log_odds(around(centre, others)));
   }
   return best;
 }

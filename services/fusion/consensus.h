@@ -5,12 +5,14 @@
 // and for leaving a wrong one.
 #pragma once
 
+#include <limits>
 #include <optional>
 #include <vector>
 
 #include <Eigen/Core>
 
 #include "common/geo/enu_frame.h"
+#include "services/fusion/agreement.h"
 #include "services/fusion/factors.h"
 #include "services/fusion/options.h"
 #include "services/fusion/types.h"
@@ -32,20 +34,25 @@ struct Sighting {
   void place_in(const EnuFrame& frame);
 };
 
+// m: fixes no further apart than this speak for one place, and disagree on where in it (registration: second_distance).
+inline constexpr double kPlaceSize = 15.0;
+
 // Square of the Mahalanobis distance between the motion of the fixes and that of the odometry, from a to b.
 double disagreement(const Sighting& a, const Sighting& b, const FusionOptions& options);
 
 struct Consensus {
   std::vector<size_t> members;  // indices, growing; the newest sighting is among them
-  size_t rivals = 0;            // size of the largest set that agrees among the others
-  // m over ground, the longest of the odometry's ways between the first member and another. A climb is no evidence: a
-  // fix's height is the odometry's over whatever ground it was found above, and agrees anywhere.
-  double span = 0.0;
+  Agreement agreement;
+  // Of the likeliest set that agrees among the others, on a place further than a place is wide.
+  double rival_log_odds = -std::numeric_limits<double>::infinity();
+
+  // That it is this place and none of the others.
+  double log_odds(const FusionOptions& options) const;
 };
 
-// The largest set of at least `needed` sightings that all agree with the last one and with one of them; nullopt when
-// there is none. Linear in their number while there is none, quadratic otherwise.
-std::optional<Consensus> find_consensus(const std::vector<Sighting>& sightings, size_t needed,
+// The likeliest set of sightings that all agree with the last one and with one of them; nullopt where even all that
+// agree with the last one together are less sure than `at_least`. Linear in their number then, quadratic otherwise.
+std::optional<Consensus> find_consensus(const std::vector<Sighting>& sightings, double at_least,
                                         const FusionOptions& options);
 
 // Rotation about z and translation from W to G that fits the members best: their mean.

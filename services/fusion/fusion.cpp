@@ -58,11 +58,9 @@ void Fusion::start_segment(int session) {
   if (graph_) before_ = newest_;
   graph_.reset();
   waiting_.clear();
-  rival_.reset();
-  rival_fixes_ = 0;
-  believed_ = 0;
-  confirming_ = 0;
-  confirmed_span_ = 0.0;
+  forget_rival();
+  believed_ = {};
+  confirming_ = {};
   tilted_from_.reset();
   num_fixes_ = 0;
   session_utime_ = 0;
@@ -72,12 +70,19 @@ void Fusion::start_segment(int session) {
   if (!inertial_.newest()) leave_map();
 }
 
+void Fusion::forget_rival() {
+  rival_.reset();
+  rival_is_likelier_ = false;
+}
+
 void Fusion::leave_map() {
   frame_.reset();
   inertial_.invalidate();
   last_located_.reset();
   newest_fix_utime_ = 0;
-  if (has_output_) ++reset_counter_;
+  if (!has_output_ || is_loss_counted_) return;
+  ++reset_counter_;
+  is_loss_counted_ = true;
 }
 
 Outcome Fusion::add_keyframe(const Keyframe& keyframe) {
@@ -137,7 +142,9 @@ std::optional<Memory> Fusion::memory() const {
   memory.estimate = newest_;
   memory.anchor = frame_->anchor();
   memory.newest_fix_utime = newest_fix_utime_;
-  memory.believed = believed_;
+  memory.believed = believed_.fixes();
+  memory.most_told = believed_.most_told();
+  memory.span = believed_.span();
   memory.reset_counter = reset_counter_;
   return memory;
 }
@@ -151,7 +158,8 @@ bool Fusion::resume(const Memory& memory) {
   const bool numbers = is_pose(keyframe.p_W_B, keyframe.q_W_B) && is_place(memory.anchor) &&
                        estimate.state.x.allFinite() && estimate.state.p().norm() < kFarthest &&
                        std::abs(estimate.state.log_scale()) < 1.0 && estimate.covariance.allFinite() &&
-                       is_levelled(keyframe.levelled);
+                       is_levelled(keyframe.levelled) && memory.span >= 0.0 && memory.span < kFarthest &&
+                       !(std::abs(memory.most_told) > kLargestLogOdds);
   if (!counts || !times || !numbers || estimate.covariance.llt().info() != Eigen::Success) return false;
   memory_ = memory;
   return true;
@@ -169,13 +177,14 @@ void Fusion::go_on(int session, int64_t utime, const Eigen::Vector3d& p_W_B) {
   if (!continues) {
     // What comes has nothing to do with the positions that were given out before.
     reset_counter_ = memory.reset_counter + 1;
+    is_loss_counted_ = true;
     return;
   }
   session_ = session;
   session_utime_ = memory.session_utime;
   reset_counter_ = memory.reset_counter;
   newest_fix_utime_ = memory.newest_fix_utime;
-  believed_ = memory.believed;
+  believed_ = Agreement(memory.believed, memory.most_told, memory.span, memory.newest_fix_utime);
   to_confirm_ = 1;
   frame_.emplace(memory.anchor);
   waypoints_.emplace(keyframe.id, Waypoint{keyframe, std::nullopt});

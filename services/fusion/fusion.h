@@ -3,11 +3,12 @@
 //
 // Feed everything as it comes; ask for a solution at every odometry state and at every inertial sample.
 //
-// Before the first lock, poses are in W and there is no geodetic position. A lock needs some fixes that agree about the
-// motion between them, over some way; then the trajectory jumps onto the map. After it, each fix is tested against the
-// graph's own prediction. Fixes that are not believed are remembered: when they agree on another place and
-// outnumber all that were believed since the lock, or when none has been believed for long, it was the lock that was
-// wrong, and the segment is placed anew. A fix belongs to its own keyframe, however late it comes.
+// Before the first lock, poses are in W and there is no geodetic position. A lock needs fixes that agree about the
+// motion between them and are sure together (agreement.h): one that is sure by itself, or several over some way; then
+// the trajectory jumps onto the map. After it, each fix is tested against the graph's own prediction. Fixes that are
+// not believed are remembered: the place that they agree on stands against the solution's by the same odds. While it
+// may be right the protection level reaches there, when it is likelier the mode says LOST, and when it is sure the
+// segment is placed anew. A fix belongs to its own keyframe, however late it comes.
 //
 // A new session of the odometry is a new W and a new segment of the graph. If the inertial sensor has carried the
 // position across, the segment begins there with the sensor's uncertainty, and is COASTING until a fix agrees, or two
@@ -102,7 +103,8 @@ class Fusion {
   bool within_gate(const Sighting& sighting) const;
   void add_tilt(const Sighting& sighting);
   void use(const Sighting& sighting);
-  void look_at_rivals();
+  std::vector<Sighting> those_of(const Consensus& consensus) const;
+  void forget_rival();
   void solve_and_watch_for_jump();
   void update_newest();
   void start_bridge(const OdometryState& state);
@@ -114,6 +116,7 @@ class Fusion {
   FusionOptions options_;
   int session_ = 0;
   int reset_counter_ = 0;
+  bool is_loss_counted_ = false;  // by the reset counter: the next lock is the same jump
   int moves_ = 0;
   bool has_output_ = false;  // a pose has been given out
   int compass_rejected_ = 0;
@@ -132,12 +135,11 @@ class Fusion {
   std::vector<Sighting> waiting_;      // before the lock: the newest fixes; after it: those not believed
   std::optional<Located> rival_;       // where those agree to be, moved on to the newest node
   int64_t rival_utime_ = 0;
-  int rival_fixes_ = 0;
-  int believed_ = 0;                                          // fixes since the lock
-  int confirming_ = 0;                                        // those of them that this very fusion has seen
-  Eigen::Vector3d confirmed_from_ = Eigen::Vector3d::Zero();  // p_W_B of the first of them
-  double confirmed_span_ = 0.0;                               // m over ground from there to the furthest other
-  std::optional<Eigen::Vector3d> tilted_from_;                // p_W_B of the newest whose tilt is in the graph
+  double rival_log_odds_ = 0.0;  // of their place, by themselves
+  bool rival_is_likelier_ = false;
+  Agreement believed_;                          // of the fixes since the lock
+  Agreement confirming_;                        // of those of them that this very fusion has seen
+  std::optional<Eigen::Vector3d> tilted_from_;  // p_W_B of the newest whose tilt is in the graph
   int num_fixes_ = 0;
   int64_t newest_fix_utime_ = 0;
   Estimate newest_;   // of the newest node

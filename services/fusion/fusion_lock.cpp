@@ -2,6 +2,7 @@
 #include <algorithm>
 #include <cmath>
 #include <numbers>
+#include <utility>
 
 #include <Eigen/Cholesky>
 #include <Eigen/Eigenvalues>
@@ -17,6 +18,10 @@ namespace {
 // Standard deviation of what nothing is known of: a position on the map, m, and a heading, rad.
 constexpr double kAnywhere = 1e4;
 constexpr double kAnyHeading = 1.0;
+// Log-odds against another place from which on it is not reckoned with: one in a hundred.
+constexpr double kNoDoubt = 4.6;
+// Newest fixes not believed that are searched for agreement.
+constexpr size_t kWaiting = 100;
 // Share of a new measurement below which it waits for more: hovering, the same ground is seen for ever.
 constexpr double kNoNews = 1e-3;
 
@@ -48,6 +53,7 @@ bool makes_sense(const Upright& upright) {
 std::optional<Sighting> Fusion::sight(const Fix& fix, Outcome& refused) const {
   refused = Outcome::kBadNumber;
   if (!is_place(fix.position) || !is_place(fix.anchor) || !std::isfinite(fix.heading)) return std::nullopt;
+  if (std::abs(fix.log_odds) > kLargestLogOdds) return std::nullopt;
   const auto covariance = own_covariance(fix.upright ? fix.upright->covariance : fix.covariance, options_.fix);
   if (!covariance || (fix.upright && !makes_sense(*fix.upright))) return std::nullopt;
   if (fix.session != session_) {
@@ -85,7 +91,7 @@ Outcome Fusion::add_fix(const Fix& fix) {
   fixed_.emplace(fix.keyframe_id, fix.utime);
   const auto wait = [&] {
     waiting_.push_back(*sighting);
-    if (static_cast<int>(waiting_.size()) > options_.gate.memory) waiting_.erase(waiting_.begin());
+    if (waiting_.size() > kWaiting) waiting_.erase(waiting_.begin());
   };
   if (!graph_) {
     wait();
@@ -107,12 +113,10 @@ bool Fusion::try_lock() {
   const Geodetic& anchor = waiting_.back().fix.anchor;
   if (!frame_ || !same_place(frame_->anchor(), anchor)) frame_.emplace(anchor);
   for (Sighting& sighting : waiting_) sighting.place_in(*frame_);
-  const GateOptions& gate = options_.gate;
-  const auto consensus = find_consensus(waiting_, static_cast<size_t>(gate.lock_fixes), options_);
-  if (!consensus || consensus->span < gate.lock_distance) return false;
-  if (consensus->members.size() < consensus->rivals + static_cast<size_t>(gate.lock_margin)) return false;
-  std::vector<Sighting> members;
-  for (const size_t index : consensus->members) members.push_back(waiting_[index]);
+  const double sure = log_odds_of(options_.lock.probability);
+  const auto consensus = find_consensus(waiting_, sure, options_);
+  if (!consensus || consensus->log_odds(options_) < sure) return false;
+  const std::vector<Sighting> members = those_of(*consensus);
   for (size_t k = consensus->members.size(); k-- > 0;) {
     waiting_.erase(waiting_.begin() + static_cast<std::ptrdiff_t>(consensus->members[k]));
   }
@@ -120,37 +124,45 @@ bool Fusion::try_lock() {
   return true;
 }
 
-bool Fusion::try_relock() {
-  const GateOptions& gate = options_.gate;
-  look_at_rivals();
-  const auto consensus = find_consensus(waiting_, static_cast<size_t>(gate.relock_fixes), options_);
-  if (!consensus || consensus->span < gate.lock_distance) return false;
-  if (consensus->members.size() < consensus->rivals + static_cast<size_t>(gate.lock_margin)) return false;
-  const bool outnumbers = static_cast<int>(consensus->members.size()) > believed_;
-  const int64_t newest = waiting_.back().fix.utime;
-  const bool silence = seconds_between(newest_fix_utime_, newest) > gate.lost_after;
-  if (!outnumbers && !silence) return false;
+std::vector<Sighting> Fusion::those_of(const Consensus& consensus) const {
   std::vector<Sighting> members;
-  for (const size_t index : consensus->members) members.push_back(waiting_[index]);
-  waiting_.clear();
-  lock(members);
-  return true;
+  for (const size_t index : consensus.members) members.push_back(waiting_[index]);
+  return members;
 }
 
-// Where the fixes that are not believed agree to be, if they do: part of the protection level.
-void Fusion::look_at_rivals() {
-  const auto rivals = find_consensus(waiting_, static_cast<size_t>(options_.gate.lock_fixes), options_);
-  if (!rivals) return;
-  Located rival;
+// Where the fixes that are not believed agree to be, against where the solution is: part of the protection level while
+// it may be so, the mode says LOST when it is likelier, and when it is sure the solution is moved there.
+bool Fusion::try_relock() {
   const Sighting& last = waiting_.back();
-  const NodeState& there = graph_->state(last.keyframe.id);
-  // Upright, as the graph takes its fixes; as an offset: it is carried along with the newest node.
-  rival.p_G_B = last.p_G_B - last.lever * there.tilt() - there.p();
-  rival.covariance = last.covariance + shared_covariance(options_, last.keyframe, last.lever);
-  rival_ = rival;
-  rival_utime_ = last.fix.utime;
-  rival_fixes_ = static_cast<int>(rivals->members.size());
+  const int64_t now = last.fix.utime;
+  const NodeState& here = graph_->state(last.keyframe.id);
+  // Upright, as the graph takes its fixes.
+  const Eigen::Vector3d offset = last.p_G_B - last.lever * here.tilt() - here.p();
+  const bool is_elsewhere = offset.head<2>().norm() > kPlaceSize;
+  const auto log_odds = [&](const Agreement& agreement) {
+    return is_elsewhere ? agreement.place_log_odds(now, options_.lock)
+                        : agreement.accuracy_log_odds(now, options_.lock);
+  };
+  const double ours = log_odds(believed_);
+  const auto consensus = find_consensus(waiting_, ours - kNoDoubt, options_);
+  if (!consensus) return false;
+  const double theirs = log_odds(consensus->agreement);
+  const double odds = theirs - ours;
+  const double against_all = odds - std::log1p(std::exp(consensus->rival_log_odds));
+  if (against_all >= log_odds_of(options_.lock.probability)) {
+    const std::vector<Sighting> members = those_of(*consensus);
+    waiting_.clear();
+    lock(members);
+    return true;
+  }
+  if (odds < -kNoDoubt) return false;
+  // As an offset: it is carried along with the newest node.
+  rival_ = Located{offset, last.covariance + shared_covariance(options_, last.keyframe, last.lever)};
+  rival_utime_ = now;
+  rival_log_odds_ = theirs;
+  rival_is_likelier_ = odds > 0.0;
   update_newest();
+  return false;
 }
 
 void Fusion::lock(const std::vector<Sighting>& members) {
@@ -182,20 +194,18 @@ void Fusion::lock(const std::vector<Sighting>& members) {
   }
 
   num_fixes_ = 0;
-  believed_ = 0;
-  confirming_ = 0;
+  believed_ = {};
+  confirming_ = {};
   to_confirm_ = 0;
-  confirmed_span_ = 0.0;
   newest_fix_utime_ = 0;
-  rival_.reset();
-  rival_fixes_ = 0;
+  forget_rival();
   tilted_from_.reset();
   for (const Sighting& member : members) {
     if (graph_->contains(member.keyframe.id)) use(member);
   }
   graph_->solve();
   update_newest();
-  ++reset_counter_;
+  if (!std::exchange(is_loss_counted_, false)) ++reset_counter_;
   ++moves_;
 }
 
@@ -205,7 +215,7 @@ bool Fusion::within_gate(const Sighting& sighting) const {
   const Eigen::Vector3d innovation = residual(measurement, estimate.state);
   const PositionRows J = position_jacobian(sighting.lever, estimate.state);
   const Eigen::Matrix3d covariance = J * estimate.covariance * J.transpose() + sighting.covariance;
-  const double limit = options_.gate.innovation * options_.gate.innovation;
+  const double limit = options_.lock.innovation * options_.lock.innovation;
   return innovation.dot(covariance.llt().solve(innovation)) < limit;
 }
 
@@ -220,7 +230,7 @@ void Fusion::add_tilt(const Sighting& sighting) {
   const Eigen::Matrix2d covariance =
       J * estimate.covariance.block<3, 3>(kYaw, kYaw) * J.transpose() + upright.tilt_covariance;
   const Eigen::Vector2d innovation = upright.tilt - estimate.state.tilt();
-  const double limit = options_.gate.innovation * options_.gate.innovation;
+  const double limit = options_.lock.innovation * options_.lock.innovation;
   if (!(innovation.dot(covariance.llt().solve(innovation)) < limit)) return;
   const Eigen::Vector3d& p_W_B = sighting.keyframe.p_W_B;
   const double forgotten = options_.fix.tilt_distance * working_height(options_.edge, sighting.keyframe);
@@ -245,9 +255,15 @@ void Fusion::use(const Sighting& sighting) {
     const double stddev = std::hypot(fix.scale_stddev / fix.scale, options_.fix.scale_stddev_floor);
     graph_->add_scale(id, std::log(fix.scale), shared * stddev);
   }
-  if (confirming_++ == 0) confirmed_from_ = sighting.keyframe.p_W_B;
-  confirmed_span_ = std::max(confirmed_span_, (sighting.keyframe.p_W_B - confirmed_from_).head<2>().norm());
-  ++believed_;
+  const double height = working_height(options_.edge, sighting.keyframe);
+  // If the other place is right, this fix is wrong, too.
+  Agreement alone;
+  alone.add(sighting.keyframe, fix, height, options_.lock);
+  const double ours =
+      believed_.place_log_odds(fix.utime, options_.lock) + alone.place_log_odds(fix.utime, options_.lock);
+  if (rival_ && rival_log_odds_ - ours < -kNoDoubt) forget_rival();
+  believed_.add(sighting.keyframe, fix, height, options_.lock);
+  confirming_.add(sighting.keyframe, fix, height, options_.lock);
   to_confirm_ = std::max(0, to_confirm_ - 1);
   ++num_fixes_;
   newest_fix_utime_ = std::max(newest_fix_utime_, sighting.fix.utime);
@@ -264,9 +280,12 @@ void Fusion::update_newest() {
   newest_ = graph_->estimate(graph_->newest().id);
   level_ = Protection();
   const int64_t now = graph_->newest().utime;
-  const ProtectionOptions& protection = options_.protection;
-  if (confirming_ < protection.confirm_fixes || confirmed_span_ < protection.confirm_distance) return;
-  const auto exposure = static_cast<int64_t>(1e6 * protection.exposure);
+  // Neither their place nor their accuracy may be wrong more often than a level allows for a fault.
+  const int64_t newest = confirming_.newest_utime();
+  const double least = log_odds_of(1.0 - kFaultProbability);
+  if (confirming_.place_log_odds(newest, options_.lock) < least) return;
+  if (confirming_.accuracy_log_odds(newest, options_.lock) < least) return;
+  const auto exposure = static_cast<int64_t>(1e6 * options_.protection.exposure);
   const std::optional<Estimate> without = graph_->without_fixes_after(now - exposure);
   if (!without) return;
   const auto located = [](const Estimate& estimate) {

@@ -99,7 +99,7 @@ void Fusion::judge(Solution& solution, bool odometry, bool blind) {
   evidence.located = is_located;
   evidence.blind = blind;
   evidence.unconfirmed = to_confirm_ > 0;
-  evidence.contradicted = rival_fixes_ >= options_.gate.relock_fixes && rival_utime_ > newest_fix_utime_;
+  evidence.contradicted = rival_is_likelier_ && rival_utime_ > newest_fix_utime_;
   evidence.level = solution.horizontal_protection_level;
   if (is_located && std::isnan(evidence.level)) {
     evidence.level = kHorizontalQuantile * horizontal_stddev(solution.covariance.topLeftCorner<3, 3>());
@@ -250,6 +250,8 @@ void Fusion::try_bridge() {
   graph_->start(first, guess, stddev);
   for (auto next = std::next(waypoints_.begin()); next != waypoints_.end(); ++next) append(next->second);
   graph_->solve();
+  // As sure as one fix that does not say how sure it is: what led to the restart may have led the way astray.
+  believed_ = Agreement(1, kUnknown, 0.0, first.utime);
   update_newest();
   for (Sighting& sighting : waiting_) sighting.place_in(*frame_);
   bridge_.reset();

@@ -248,6 +248,7 @@ void FusionService::on_fix(const map_fix_t& message) {
   }
   fix.scale = message.scale;
   fix.scale_stddev = message.scale_stddev;
+  fix.log_odds = message.log_odds;
   fix.num_keyframes = message.num_keyframes;
   fix.upright = upright_of(message);
 

@@ -5,9 +5,9 @@
 namespace orthonav::fusion {
 namespace {
 
-constexpr uint64_t kVersion = 0x6f6e61766d656d34;  // "onavmem4"
+constexpr uint64_t kVersion = 0x6f6e61766d656d35;  // "onavmem5"
 constexpr size_t kIntegers = 7;
-constexpr size_t kReals = 14 + kStates + kStates * kStates;
+constexpr size_t kReals = 16 + kStates + kStates * kStates;
 
 }  // namespace
 
@@ -23,6 +23,8 @@ bool write_memory(const std::filesystem::path& file, const Memory& memory) {
   for (const double value : keyframe.levelled) put(value);
   put(keyframe.lean_stddev);
   for (const double value : {memory.anchor.latitude_deg, memory.anchor.longitude_deg, memory.anchor.height}) put(value);
+  put(memory.most_told);
+  put(memory.span);
   for (const double value : memory.estimate.state.x) put(value);
   for (const double value : memory.estimate.covariance.reshaped()) put(value);
   return write_memory_file(file, kVersion, image);
@@ -50,6 +52,8 @@ std::optional<Memory> read_memory(const std::filesystem::path& file) {
   for (double* value : {&memory.anchor.latitude_deg, &memory.anchor.longitude_deg, &memory.anchor.height}) {
     *value = take();
   }
+  memory.most_told = take();
+  memory.span = take();
   for (double& value : memory.estimate.state.x) value = take();
   for (double& value : memory.estimate.covariance.reshaped()) value = take();
   return memory;

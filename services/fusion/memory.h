@@ -21,7 +21,9 @@ struct Memory {
   Estimate estimate;          // of that node
   Geodetic anchor;            // of G
   int64_t newest_fix_utime = 0;
-  int believed = 0;  // fixes since the lock
+  int believed = 0;             // fixes since the lock,
+  double most_told = kUnknown;  // the largest log-odds that one of them told, NaN: none did,
+  double span = 0.0;            // and how far (agreement.h)
   int reset_counter = 0;
 };
 

@@ -16,7 +16,7 @@ Mode ModeMachine::update(const Evidence& evidence) {
   was_located_ = true;
   const bool fresh = !evidence.blind && !evidence.unconfirmed && evidence.time_since_fix <= options_.coasting_after;
   const bool uncertain = evidence.level > options_.protection.lost_level;
-  if ((evidence.contradicted && !fresh) || uncertain) {
+  if (evidence.contradicted || uncertain) {
     mode_ = Mode::kLost;
   } else if (moved || (mode_ == Mode::kLost && fresh)) {
     mode_ = Mode::kReacquired;

@@ -23,7 +23,7 @@ struct Evidence {
   bool located = false;              // it is a pose on the map
   bool blind = false;                // the inertial sensor alone carries it
   bool unconfirmed = false;          // carried across a restart, and fixes have yet to agree
-  bool contradicted = false;         // fixes agree with each other on another place, and none with this one
+  bool contradicted = false;         // another place is likelier, by the fixes that agree there and here
   double level = kUnknown;           // m, horizontal protection level, or what the covariance says; NaN: unknown
   double time_since_fix = kUnknown;  // s
   int moves = 0;  // times that the position was moved to another place on the map, first lock included

@@ -53,22 +53,18 @@ void read_compass(ConfigNode node, CompassOptions& compass) {
   node.finish();
 }
 
-void read_gate(ConfigNode node, GateOptions& gate) {
-  node.read("memory", gate.memory, 1, 1000);
-  node.read("lock_fixes", gate.lock_fixes, 1, 100);
-  node.read("lock_distance", gate.lock_distance, 0.0, 1e4);
-  node.read("lock_margin", gate.lock_margin, 1, 100);
-  node.read("relock_fixes", gate.relock_fixes, 1, 1000);
-  node.read("lost_after", gate.lost_after, 0.0, 1e6);
-  node.read("agreement", gate.agreement, 0.1, 1000.0);
-  node.read("innovation", gate.innovation, 0.1, 1e9);
+void read_lock(ConfigNode node, LockOptions& lock) {
+  node.read("probability", lock.probability, 0.5, 0.999999);
+  node.read("fix_probability", lock.fix_probability, 0.01, 0.999999);
+  node.read("wrong_distance", lock.wrong_distance, 0.1, 1e4);
+  node.read("wrong_height", lock.wrong_height, 0.0, 10.0);
+  node.read("jump_time", lock.jump_time, 1.0, 1e9);
+  node.read("innovation", lock.innovation, 0.1, 1e9);
   node.finish();
 }
 
 void read_protection(ConfigNode node, ProtectionOptions& protection) {
   node.read("exposure", protection.exposure, 0.0, 1e6);
-  node.read("confirm_fixes", protection.confirm_fixes, 1, 1000);
-  node.read("confirm_distance", protection.confirm_distance, 0.0, 1e6);
   node.read("lost_level", protection.lost_level, 1.0, 1e6);
   node.finish();
 }
@@ -112,7 +108,7 @@ FusionOptions FusionOptions::load(const std::filesystem::path& folder) {
   read_edge(node.child_or_empty("edge"), options.edge);
   read_fix(node.child_or_empty("fix"), options.fix);
   read_compass(node.child_or_empty("compass"), options.compass);
-  read_gate(node.child_or_empty("gate"), options.gate);
+  read_lock(node.child_or_empty("lock"), options.lock);
   read_protection(node.child_or_empty("protection"), options.protection);
   read_inertial(node.child_or_empty("inertial"), options.inertial);
   node.finish();

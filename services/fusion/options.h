@@ -43,24 +43,20 @@ struct CompassOptions {
   double fix_stddev = 0.09;    // rad, of the heading of a fix that carries none
 };
 
-// When fixes are believed.
-struct GateOptions {
-  int memory = 100;             // newest fixes, believed or not, that are searched for agreement
-  int lock_fixes = 4;           // fixes that must agree with each other before the first position
-  double lock_distance = 12.0;  // m of way that they must span: a wrong place seldom moves with the aircraft for long
-  int lock_margin = 2;          // by how many they must outnumber those that agree on another place
-  int relock_fixes = 5;         // the same, at least, to move a solution; they must outnumber all that were believed,
-  double lost_after = 45.0;     // or none was believed for so many seconds
-  double agreement = 3.0;       // Mahalanobis distance below which two fixes agree about the motion between them
-  double innovation = 4.0;      // Mahalanobis distance from the solution above which a fix is an outlier
+// When a place is believed, and when it is left for another one.
+struct LockOptions {
+  double probability = 0.999;     // of a place that is believed
+  double fix_probability = 0.99;  // of a fix that does not say how sure it is
+  double wrong_distance = 6.0;    // m of way that a wrong place moves with the aircraft, in the mean,
+  double wrong_height = 0.055;    // and this share of the height at least: the higher, the longer the same is in view
+  double jump_time = 18000.0;     // s in which an odometry jumps once without saying so
+  double innovation = 4.0;        // Mahalanobis distance from the solution above which a fix is an outlier
 };
 
 // Bounds of the error that hold though fixes may be wrong.
 struct ProtectionOptions {
-  double exposure = 30.0;          // s: all fixes of the newest stretch of this length may be wrong at once
-  int confirm_fixes = 12;          // fixes believed since the lock before there is a bound at all
-  double confirm_distance = 40.0;  // m of way that they must span
-  double lost_level = 100.0;       // m: with a larger horizontal level the position counts as lost
+  double exposure = 30.0;     // s: all fixes of the newest stretch of this length may be wrong at once
+  double lost_level = 100.0;  // m: with a larger horizontal level the position counts as lost
 };
 
 // Propagation by the inertial sensor between odometry states, and while the odometry restarts.
@@ -90,7 +86,7 @@ struct FusionOptions {
   EdgeOptions edge;
   FixOptions fix;
   CompassOptions compass;
-  GateOptions gate;
+  LockOptions lock;
   ProtectionOptions protection;
   InertialOptions inertial;
 

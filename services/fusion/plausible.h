@@ -22,6 +22,8 @@ inline constexpr double kLargestLevelled = 3.0;  // rad: about half a turn
 
 inline constexpr double kLargestHeading = 13.0;  // rad, two turns: of a compass
 
+inline constexpr double kLargestLogOdds = 1e6;
+
 inline double seconds_between(int64_t from, int64_t to) {
   return 1e-6 * static_cast<double>(to - from);
 }

@@ -7,7 +7,7 @@
 //     covariance, and differs from the one given out by what can be seen (solution separation);
 //   - the place is wrong and fixes that were not believed are right: the level reaches to where they say.
 // A fault that began earlier and was believed ever since, and a lock on a wrong place that nothing contradicts, are
-// left to the consistency that a lock and its confirmation need (consensus.h, GateOptions, ProtectionOptions).
+// left to the odds that a lock and its confirmation need (agreement.h).
 //
 // Pure functions, thread-safe.
 #pragma once
@@ -24,6 +24,9 @@ namespace orthonav::fusion {
 // units of its larger axis, and a vertical one to either side.
 inline constexpr double kHorizontalQuantile = 4.292;
 inline constexpr double kVerticalQuantile = 3.891;
+
+// What a level has left for each fault.
+inline constexpr double kFaultProbability = 1e-4;
 
 struct Protection {
   double horizontal = kUnknown;  // m

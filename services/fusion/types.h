@@ -71,7 +71,8 @@ struct Fix {
   bool heading_fitted = false;       // to the map, with heading_stddev; else it is the compass's
   double scale = kUnknown;           // true displacement over the odometry's, fitted to the map; NaN: it was not
   double scale_stddev = kUnknown;
-  int num_keyframes = 1;  // whose points it matched: so many neighbouring fixes share most of their evidence
+  double log_odds = kUnknown;  // that this is the place, as in map_fix_t; NaN: it does not say
+  int num_keyframes = 1;       // whose points it matched: so many neighbouring fixes share most of their evidence
   std::optional<Upright> upright;
 };
 

@@ -53,8 +53,9 @@ struct Fix {
   int num_hypotheses = 0;           // places that are considered (method submap)
   double search_radius = kUnknown;  // m
   int num_keyframes = 1;
-  Upright upright;          // only method submap
-  std::vector<Pair> pairs;  // inliers, also of a refused fix
+  int num_contradicted = 0;  // points of the keyframe whose depth contradicts its height (method submap)
+  Upright upright;           // only method submap
+  std::vector<Pair> pairs;   // inliers, also of a refused fix
 };
 
 }  // namespace orthonav::registration

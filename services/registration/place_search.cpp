@@ -14,6 +14,9 @@ namespace {
 
 // Cells that a place may lie outside the map.
 constexpr int kOutside = 8;
+// Alignments compared, at most: each holds a picture of the map. Several times what a long submap of a young session
+// has.
+constexpr int kMostAlignments = 2000;
 
 struct Cell {
   int row = 0, column = 0;
@@ -109,9 +112,15 @@ EvidenceLine line_of(const Background& background, const EvidenceOptions& option
 
 std::vector<Alignment> alignments(const Alignment& expected, double turn_stddev, double scale_stddev, double lever,
                                   double step) {
-  const auto steps = [&](double stddev) { return static_cast<int>(std::floor(2 * stddev * lever / step + 0.5)); };
-  const int turns = std::min(steps(turn_stddev), static_cast<int>(M_PI * lever / step));
-  const int scales = steps(scale_stddev);
+  if (!(lever > 0 && std::isfinite(lever))) return {expected};
+  const auto turns_by = [&](double by) {
+    return std::floor(std::min(2 * turn_stddev * lever / by + 0.5, M_PI * lever / by));
+  };
+  const auto scales_by = [&](double by) { return std::floor(2 * scale_stddev * lever / by + 0.5); };
+  // Coarser rather than more.
+  while ((2 * turns_by(step) + 1) * (2 * scales_by(step) + 1) > kMostAlignments) step *= 1.1;
+  const int turns = static_cast<int>(turns_by(step));
+  const int scales = static_cast<int>(scales_by(step));
   std::vector<Alignment> result{expected};
   for (int i = -turns; i <= turns; ++i) {
     for (int j = -scales; j <= scales; ++j) {

@@ -30,9 +30,13 @@ constexpr size_t kMaxPending = 16;
 constexpr size_t kImagesWaiting = 4;
 // Positions kept for keyframes to come, and how far from a keyframe's time one still says where it was, s.
 constexpr size_t kNavStates = 100;
-constexpr double kMaxNavAge = 5;
+constexpr double kMaxNavAge = 60;
+// Standard deviations of a horizontal error that its protection level stands for (services/fusion/protection.h).
+constexpr double kStddevsOfLevel = 4.29;
 constexpr int64_t kHypothesesPeriod = 500'000;  // microseconds between PLACE_HYPOTHESES, at least
-constexpr double kNavSpeedStddev = 2;           // m/s by which a position gets worse until the keyframe's time
+constexpr double kNavSpeedStddev = 2;  // m/s by which a position gets worse until the keyframe's time, if it goes
+                                       // on as it did: for some seconds; then by its speed
+constexpr double kGoesOnFor = 5;       // s
 
 }  // namespace
 
@@ -214,8 +218,12 @@ std::optional<PositionPrior> RegistrationService::expected_position(int64_t utim
   PositionPrior prior;
   prior.en = p_G.head<2>();
   prior.stddev = std::sqrt(variance);
-  if (velocity.allFinite()) prior.en += seconds * velocity;
-  prior.stddev += kNavSpeedStddev * std::abs(seconds);
+  // Where the fusion reckons with another place, too, its level reaches there.
+  prior.stddev = std::fmax(prior.stddev, nearest->horizontal_protection_level / kStddevsOfLevel);
+  if (velocity.allFinite()) prior.en += std::clamp(seconds, -kGoesOnFor, kGoesOnFor) * velocity;
+  const double speed = velocity.allFinite() ? velocity.norm() : 0.0;
+  const double goes_on = std::min(std::abs(seconds), kGoesOnFor);
+  prior.stddev += kNavSpeedStddev * goes_on + std::max(kNavSpeedStddev, speed) * (std::abs(seconds) - goes_on);
   if (!prior.en.allFinite() || !std::isfinite(prior.stddev)) return std::nullopt;
   return prior;
 }
@@ -408,6 +416,7 @@ void RegistrationService::publish(const vio_keyframe_t& keyframe, const Fix& fix
   if (searched) publish_hypotheses(keyframe);
   ++num_tried_;
   if (fix.valid) ++num_fixes_;
+  node_.health().add("points.contradicted", fix.num_contradicted);
   node_.health().set("fixes.tried", static_cast<double>(num_tried_));
   node_.health().set("fixes.valid", static_cast<double>(num_fixes_));
 }

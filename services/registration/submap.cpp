@@ -96,6 +96,7 @@ bool SubmapRegistrar::describe(const Keyframe& keyframe, int session, const cv::
     num_fixes_ = 0;
   }
   places_.clear();
+  num_contradicted_ = 0;
   heading_ = heading;
   refused_ = reason_to_refuse(keyframe, image, camera_, heading.value);
   if (!refused_.empty()) return false;
@@ -111,6 +112,7 @@ bool SubmapRegistrar::describe(const Keyframe& keyframe, int session, const cv::
   Remembered remembered{image, {}};
   remembered.variants.push_back(described(keyframe, image, 0));
   refused_ = remembered.variants.front().view->refused;
+  num_contradicted_ = remembered.variants.front().view->num_contradicted;
   if (!refused_.empty()) return false;
   keyframes_.push_front(std::move(remembered));
   scale_.hear(keyframe.scale_stddev);

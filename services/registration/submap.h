@@ -219,6 +219,7 @@ class SubmapRegistrar {
   int num_fixes_ = 0;    // of the session
 
   std::string refused_;
+  int num_contradicted_ = 0;  // points of the newest keyframe
   std::vector<Place> places_;
   std::optional<PositionPrior> prior_;
   double radius_ = 0;

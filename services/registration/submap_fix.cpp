@@ -164,6 +164,7 @@ Fix SubmapRegistrar::solve() {
   Fix fix;
   fix.reason = refused_;
   fix.num_keyframes = static_cast<int>(keyframes_.size());
+  fix.num_contradicted = num_contradicted_;
   if (!fix.reason.empty()) return fix;
   fix.search_radius = radius_;
   for (const View* view : views(0, options_.max_keyframes)) fix.num_query += static_cast<int>(view->points.size());

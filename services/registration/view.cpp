@@ -10,12 +10,15 @@
 #include <opencv2/imgproc.hpp>
 
 #include "common/math/so3.h"
+#include "common/math/statistics.h"
 #include "services/registration/dot_products.h"
 
 namespace orthonav::registration {
 namespace {
 
-// Of the height: points so far below the body lie on no ground that is in view; they were triangulated badly.
+// Of how far the ground is along a point's ray, by the height: points beyond lie on no ground that is in view; they
+// were triangulated badly. One point at 10 km among a hundred would have registration search for turns of a kilometre's
+// lever.
 constexpr double kFurthest = 3;
 
 // `factor`: by which the descriptor is shorter than those of the map.
@@ -61,12 +64,19 @@ void keep_witnesses(std::vector<ViewPoint>& points, double pitch) {
 }  // namespace
 
 double spread_of(const std::vector<const View*>& views) {
-  double sum = 0, count = 0;
+  std::vector<double> distances;
   for (const View* view : views) {
     for (const ViewPoint& point : view->points) {
-      sum += (point.p_W - views.front()->keyframe.p_W_B).head<2>().squaredNorm();
+      distances.push_back((point.p_W - views.front()->keyframe.p_W_B).head<2>().norm());
     }
-    count += static_cast<double>(view->points.size());
+  }
+  if (distances.empty()) return 0;
+  const double furthest = kFurthest * median(distances);
+  double sum = 0, count = 0;
+  for (const double distance : distances) {
+    if (distance > furthest) continue;
+    sum += distance * distance;
+    ++count;
   }
   return std::sqrt(sum / std::max(1.0, count));
 }
@@ -111,13 +121,17 @@ View make_view(const Keyframe& keyframe, const cv::Mat& image, const CameraModel
     const TrackedPoint& tracked = keyframe.points[i];
     if (!usable(tracked) || tracked.reprojection_error > options.max_reprojection_error) continue;
     if (!camera.contains(tracked.pixel)) continue;
-    if (keyframe.p_W_B.z() - tracked.p_W.z() > kFurthest * keyframe.height_above_ground) continue;
     ViewPoint point;
     point.index = static_cast<int>(i);
     point.ray = tracked.ray_C.head<2>() / tracked.ray_C.z();
     point.p_W = tracked.p_W;
     const Eigen::Vector3d ray_G = R_G_C * point.ray.homogeneous();
     if (!(-ray_G.z() > 0.1 * ray_G.norm())) continue;
+    const double to_ground = keyframe.height_above_ground * ray_G.norm() / -ray_G.z();
+    if ((tracked.p_W - keyframe.p_W_B).norm() > kFurthest * to_ground) {
+      ++view.num_contradicted;
+      continue;
+    }
     const Eigen::Vector3d p_C = height / -ray_G.z() * point.ray.homogeneous();
     const auto right = camera.project(p_C + east);
     const auto left = camera.project(p_C - east);
@@ -138,6 +152,10 @@ View make_view(const Keyframe& keyframe, const cv::Mat& image, const CameraModel
   keep_witnesses(view.points, index.pitch() / scale);
   if (static_cast<int>(view.points.size()) <= options.min_points) {
     view.refused = fmt::format("{} usable points, more than {} are needed", view.points.size(), options.min_points);
+    if (view.num_contradicted > 0) {
+      view.refused += fmt::format("; {} lie more than {} times as far as the ground, by the height of {:.1f} m",
+                                  view.num_contradicted, kFurthest, keyframe.height_above_ground);
+    }
   }
   return view;
 }

@@ -69,9 +69,11 @@ struct View {
   double yaw = 0;  // rad: rotation about z that takes W to G, as assumed for the descriptors
   std::optional<OrientationField> field;
   std::vector<ViewPoint> points;
+  int num_contradicted = 0;  // points left out because their depth contradicts the height
 };
 
-// How far from the newest body points lie, horizontally, m in W: their root mean square. `views`: newest first.
+// How far from the newest body points lie, horizontally, m in W: their root mean square, but for those three times as
+// far as the median. `views`: newest first.
 double spread_of(const std::vector<const View*>& views);
 
 // `scale` is the true size over the odometry's, as far as known. Bad input (NaN, height <= 0, wrong image size, too few

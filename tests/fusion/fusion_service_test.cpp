@@ -75,7 +75,7 @@ class FusionOnABus : public ::testing::Test {
     for (double& value : message.q_G_B) value = std::numeric_limits<double>::quiet_NaN();
     message.heading = fix.heading;
     message.heading_stddev = fix.heading_stddev;
-    message.heading_correction = message.scale = std::numeric_limits<double>::quiet_NaN();
+    message.heading_correction = message.scale = message.log_odds = std::numeric_limits<double>::quiet_NaN();
     message.num_keyframes = 1;
     return message;
   }

@@ -40,7 +40,7 @@ TEST(Modes, AreLostWhenContradictedAndOnlyAFixEndsIt) {
   modes.update(aided(1));
   Evidence evidence = aided(10);
   evidence.contradicted = true;
-  EXPECT_EQ(modes.update(evidence), Mode::kMapAided) << "fixes still speak for this place";
+  EXPECT_EQ(modes.update(evidence), Mode::kLost) << "another place is likelier, however new the newest fix is";
   evidence.time_since_fix = 6.0;
   EXPECT_EQ(modes.update(evidence), Mode::kLost);
   evidence.contradicted = false;

@@ -60,18 +60,20 @@ TEST(FusionOptions, TheShippedDefaultsAreThoseOfTheCode) {
   EXPECT_NEAR(file.fix.shared_vertical_distance, code.fix.shared_vertical_distance, 1e-9);
   EXPECT_NEAR(file.fix.tilt_distance, code.fix.tilt_distance, 1e-9);
   EXPECT_NEAR(file.compass.bias_stddev, code.compass.bias_stddev, 3e-3);
-  EXPECT_EQ(file.gate.lock_fixes, code.gate.lock_fixes);
-  EXPECT_NEAR(file.gate.lock_distance, code.gate.lock_distance, 1e-9);
-  EXPECT_EQ(file.protection.confirm_fixes, code.protection.confirm_fixes);
-  EXPECT_NEAR(file.protection.confirm_distance, code.protection.confirm_distance, 1e-9);
+  EXPECT_EQ(file.lock.probability, code.lock.probability);
+  EXPECT_EQ(file.lock.fix_probability, code.lock.fix_probability);
+  EXPECT_EQ(file.lock.wrong_distance, code.lock.wrong_distance);
+  EXPECT_EQ(file.lock.wrong_height, code.lock.wrong_height);
+  EXPECT_EQ(file.lock.jump_time, code.lock.jump_time);
+  EXPECT_EQ(file.lock.innovation, code.lock.innovation);
 }
 
 TEST(FusionOptions, AMisspeltKeyIsAnErrorWithItsLine) {
   try {
-    FusionOptions::load(written("window_keyframes: 50\ngate:\n  lock_fixs: 2\n"));
+    FusionOptions::load(written("window_keyframes: 50\nlock:\n  probabilty: 0.9\n"));
     FAIL() << "accepted";
   } catch (const ConfigError& error) {
-    EXPECT_NE(std::string(error.what()).find("lock_fixs"), std::string::npos) << error.what();
+    EXPECT_NE(std::string(error.what()).find("probabilty"), std::string::npos) << error.what();
     EXPECT_NE(std::string(error.what()).find(":3"), std::string::npos) << error.what();
   }
 }

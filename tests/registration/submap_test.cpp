@@ -1,6 +1,7 @@
 #include "services/registration/submap.h"
 
 #include <algorithm>
+#include <functional>
 #include <limits>
 #include <random>
 
@@ -157,6 +158,53 @@ TEST_F(SubmapTest, APointTriangulatedFarBelowTheGroundChangesNothing) {
   far.keyframe.points.back().p_W += 200 * (far.keyframe.points.back().p_W - far.keyframe.p_W_B);
   const PositionPrior prior{{97, -77}, 2};
   EXPECT_EQ(add(registrar, far, far.heading, prior).p_G_B, add(other, capture, capture.heading, prior).p_G_B);
+}
+
+TEST_F(SubmapTest, PointsThatCannotBeMeantAreLeftOutAndCountedAndCostNoMemory) {
+  const Capture capture = ground_.capture({95, -80, 60}, 1.0, 0.03, -0.04);
+  const double nan = std::numeric_limits<double>::quiet_NaN();
+  struct Bad {
+    const char* name;
+    std::function<void(TrackedPoint&)> spoil;
+    bool contradicted;
+  };
+  const Eigen::Vector3d body = capture.keyframe.p_W_B;
+  const std::vector<Bad> kinds{
+      {"ten kilometres away along its ray", [&](TrackedPoint& p) { p.p_W = body + 170 * (p.p_W - body); }, true},
+      {"ten kilometres to the side", [&](TrackedPoint& p) { p.p_W += Eigen::Vector3d(1e4, 0, 0); }, true},
+      {"beyond all numbers", [&](TrackedPoint& p) { p.p_W = 1e200 * Eigen::Vector3d::Ones(); }, true},
+      {"of no place", [&](TrackedPoint& p) { p.p_W.x() = nan; }, false},
+      {"of no direction", [&](TrackedPoint& p) { p.ray_C.setZero(); }, false},
+      {"behind the camera", [&](TrackedPoint& p) { p.ray_C = -p.ray_C; }, false}};
+  for (const Bad& bad : kinds) {
+    for (const size_t every : {size_t{100}, size_t{4}}) {
+      Capture spoilt = capture, clean = capture;
+      clean.keyframe.points.clear();
+      for (size_t i = 0; i < capture.keyframe.points.size(); ++i) {
+        if (i % every == 0) {
+          bad.spoil(spoilt.keyframe.points[i]);
+        } else {
+          clean.keyframe.points.push_back(capture.keyframe.points[i]);
+        }
+      }
+      SubmapRegistrar registrar({}, test_camera()), other({}, test_camera());
+      registrar.set_map(described_map(ground_), kFieldsMap);
+      other.set_map(described_map(ground_), kFieldsMap);
+      const Fix fix = add(registrar, spoilt, spoilt.heading), without = add(other, clean, clean.heading);
+      EXPECT_EQ(fix.p_G_B, without.p_G_B) << bad.name;
+      EXPECT_EQ(fix.log_odds, without.log_odds) << bad.name;
+      EXPECT_EQ(fix.num_contradicted > 0, bad.contradicted) << bad.name;
+    }
+  }
+}
+
+TEST(Alignments, AreCoarserRatherThanWithoutEnd) {
+  for (const double lever : {100.0, 1e4, 1e9, 1e300, std::numeric_limits<double>::infinity()}) {
+    const auto all = alignments({0, 1}, 0.05, 0.15, lever, 6);
+    EXPECT_GE(all.size(), 1u) << lever;
+    EXPECT_LE(all.size(), 2000u) << lever;
+  }
+  EXPECT_GT(alignments({0, 1}, 0.05, 0.15, 1e4, 6).size(), 1000u);
 }
 
 TEST_F(SubmapTest, ACompassesBiasIsLeftBehindFixByFix) {

@@ -28,25 +28,6 @@ void add_corner(position_hint_t& hint, double latitude_deg, double longitude_deg
   ++hint.num_corners;
 }
 
-// What of the hint cannot be meant; empty: nothing.
-std::string problem_of(const position_hint_t& hint) {
-  const auto is_position = [](double latitude, double longitude) {
-    return std::abs(latitude) <= 90 && std::abs(longitude) <= 180;
-  };
-  if (hint.num_corners == 0) {
-    if (!is_position(hint.latitude_deg, hint.longitude_deg))
-      return "latitude is -90 to 90 degrees, longitude -180 to 180";
-    return hint.radius > 0 ? "" : "--radius is more than 0 m";
-  }
-  if (hint.num_corners < 3) return "an area has three corners or more";
-  for (size_t i = 0; i < hint.corner_latitudes_deg.size(); ++i) {
-    if (!is_position(hint.corner_latitudes_deg[i], hint.corner_longitudes_deg[i])) {
-      return fmt::format("corner {}: latitude is -90 to 90 degrees, longitude -180 to 180", i + 1);
-    }
-  }
-  return "";
-}
-
 double counter_of(const health_t& health, const std::string& name) {
   for (const health_counter_t& counter : health.counters) {
     if (counter.name == name) return counter.value;
@@ -63,8 +44,8 @@ int main(int argc, char** argv) {
       "  orthonav-hint 50.0901 14.4012 --radius 200\n"
       "  orthonav-hint --box 50.085 14.395 50.095 14.410\n"
       "  orthonav-hint --polygon 50.085 14.395 50.095 14.395 50.090 14.410\n"
-      "Exit code: 0 registration took it; 1 registration refused it; 2 no registration answered; 3 no bus, or no such "
-      "hint."};
+      "Exit code: 0 registration took it; 1 registration refused it, and says why; 2 no registration answered; 3 no "
+      "bus, or not the words of a hint."};
   std::string url, key_file;
   std::vector<double> position, box, polygon;
   double radius = kNan, seconds = 5;
@@ -82,6 +63,7 @@ int main(int argc, char** argv) {
     if ((position.empty() ? 0 : 1) + (box.empty() ? 0 : 1) + (polygon.empty() ? 0 : 1) != 1) {
       throw std::invalid_argument("give a position with --radius, or --box, or --polygon");
     }
+    if (position.empty() == (app.count("--radius") > 0)) throw std::invalid_argument("a position has a --radius");
     position_hint_t hint{};
     hint.latitude_deg = hint.longitude_deg = kNan;
     hint.radius = radius;
@@ -97,7 +79,6 @@ int main(int argc, char** argv) {
       if (polygon.size() % 2 != 0) throw std::invalid_argument("--polygon: a latitude without its longitude");
       for (size_t i = 0; i < polygon.size(); i += 2) add_corner(hint, polygon[i], polygon[i + 1]);
     }
-    if (const std::string problem = problem_of(hint); !problem.empty()) throw std::invalid_argument(problem);
     Node node({.service = "hint", .lcm_url = url, .key_file = key_file, .heartbeat = false});
     int status = 2;
     double received_before = -1, refused_before = 0;
