@@ -67,7 +67,10 @@ cv::Mat warp_grey(const cv::Mat& grey, const Mapping& mapping, double shrink) {
   cv::Mat smooth = grey;
   if (shrink > 1.0) {
     const double sigma = 0.5 * std::sqrt(shrink * shrink - 1.0);
-    if (sigma > 0.1) cv::GaussianBlur(grey, smooth, cv::Size(), sigma, sigma, cv::BORDER_REPLICATE);
+    if (sigma > 0.1) {
+      smooth = cv::Mat();  // a copy shares its pixels with `grey`, which is not to be blurred again by the next call
+      cv::GaussianBlur(grey, smooth, cv::Size(), sigma, sigma, cv::BORDER_REPLICATE);
+    }
   }
   cv::Mat out;
   cv::remap(smooth, out, mapping.whole, mapping.fractions, cv::INTER_CUBIC, cv::BORDER_REPLICATE);

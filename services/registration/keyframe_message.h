@@ -4,7 +4,7 @@
 #include "common/geo/enu_frame.h"
 #include "orthonav/map_fix_t.hpp"
 #include "orthonav/vio_keyframe_t.hpp"
-#include "services/registration/registrar.h"
+#include "services/registration/paper/registrar.h"
 #include "services/registration/types.h"
 
 namespace orthonav::registration {

@@ -19,34 +19,6 @@ bool agree(const PlaceHypothesis& a, const Eigen::Vector2d& en, double stddev) {
 
 }  // namespace
 
-double ExpectedArea::density(const Eigen::Vector2d& en) const {
-  double twice_area = 0, perimeter = 0, distance = (en - corners.front()).norm();
-  bool inside = false;
-  for (size_t i = 0; i < corners.size(); ++i) {
-    const Eigen::Vector2d& a = corners[i];
-    const Eigen::Vector2d& b = corners[(i + 1) % corners.size()];
-    const Eigen::Vector2d side = b - a, from_a = en - a;
-    twice_area += a.x() * b.y() - a.y() * b.x();
-    perimeter += side.norm();
-    const double along = side.squaredNorm() > 0 ? std::clamp(from_a.dot(side) / side.squaredNorm(), 0.0, 1.0) : 0.0;
-    distance = std::min(distance, (from_a - along * side).norm());
-    const bool crosses = (a.y() > en.y()) != (b.y() > en.y());
-    if (crosses && from_a.x() < side.x() * from_a.y() / side.y()) inside = !inside;
-  }
-  if (inside) distance = 0;
-  // What lies around a convex area, by Steiner's formula, weighted by how it falls off.
-  const double all = 0.5 * std::abs(twice_area) + perimeter * stddev * std::sqrt(M_PI / 2) + 2 * M_PI * stddev * stddev;
-  return std::exp(-0.5 * distance * distance / (stddev * stddev)) / all;
-}
-
-double PlacePrior::log_probability(const Eigen::Vector2d& en) const {
-  double probability = anywhere_;
-  for (const ExpectedArea& each : expectations_) {
-    probability = (1 - each.trust) * probability + each.trust * cell_ * each.density(en);
-  }
-  return std::log(probability);
-}
-
 void PlaceBelief::clear() {
   hypotheses_.clear();
 }
@@ -132,6 +104,11 @@ double PlaceBelief::log_odds(int64_t id) const {
 
 double PlaceBelief::probability(int64_t id) const {
   return 1 / (1 + std::exp(-log_odds(id)));
+}
+
+double PlaceBelief::log_odds_at(const Eigen::Vector2d& en, double stddev) const {
+  const PlaceHypothesis* each = agreeing(en, stddev);
+  return each == nullptr ? std::log(kNegligible) : log_odds(each->id);
 }
 
 double PlaceBelief::none() const {

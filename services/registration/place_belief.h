@@ -1,13 +1,10 @@
 // Where on the map the aircraft may be: places held side by side, each with its odds, until one is sure.
 //
 // A hypothesis is where the odometry's W lies in G, told by the place of the newest body and how W is turned and
-// scaled. The odometry carries it from keyframe to keyframe; what each keyframe's new ground says for it against ground
-// of no relation (place_evidence.h) is added to its log-odds. One more hypothesis always stands: "none of these",
-// against which odds are stated, for the aircraft may be off the map, the map may have changed, the camera may see
-// nothing known. So the probability of a place is its odds over those of all places and none.
-//
-// Nothing is sure for ever: with each keyframe a small share of every place's probability goes to none, for odometries
-// jump. What has been said for a place long ago so counts no more than that share allows.
+// scaled. The odometry carries it from keyframe to keyframe; with each its log-odds become what all that is remembered
+// of the ground says for it against ground of no relation. One more hypothesis always stands: "none of these", against
+// which odds are stated, for the aircraft may be off the map, the map may have changed, the camera may see nothing
+// known. So the probability of a place is its odds over those of all places and none.
 //
 // Knows neither messages nor descriptors. Not thread-safe; values.
 #pragma once
@@ -19,35 +16,6 @@
 #include <Eigen/Core>
 
 namespace orthonav::registration {
-
-// Where the body is expected, in G: within an area (m, its corners in their order around it), beyond which it falls off
-// as a normal distribution does; one corner is the middle of such. True with the probability `trust`.
-struct ExpectedArea {
-  std::vector<Eigen::Vector2d> corners;
-  double stddev = 0;  // m on each axis
-  double trust = 0;
-
-  // 1/m^2, if it is true.
-  double density(const Eigen::Vector2d& en) const;
-};
-
-// What is known of the place before the keyframe is compared with the map: any place of it, all alike, and what is
-// expected on top.
-class PlacePrior {
- public:
-  // `cell` and `map`: m^2 of a place and of all of them; each may be seen under so many alignments.
-  PlacePrior(double cell, double map, double alignments)
-      : cell_(cell / alignments), anywhere_(cell / map / alignments) {}
-
-  void expect(ExpectedArea area) { expectations_.push_back(std::move(area)); }
-
-  // Of the place `en` under one alignment: a logarithm.
-  double log_probability(const Eigen::Vector2d& en) const;
-
- private:
-  double cell_, anywhere_;
-  std::vector<ExpectedArea> expectations_;
-};
 
 struct PlaceHypothesis {
   int64_t id = 0;
@@ -84,6 +52,8 @@ class PlaceBelief {
   // Log-odds of it against all others and none; minus infinity of one that is not there.
   double log_odds(int64_t id) const;
   double probability(int64_t id) const;
+  // The log-odds of the place `en`, known to `stddev` m; of one that nobody considers, what is negligible.
+  double log_odds_at(const Eigen::Vector2d& en, double stddev) const;
   // That it is none of them.
   double none() const;
 

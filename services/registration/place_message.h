@@ -8,6 +8,7 @@
 #include "orthonav/position_hint_t.hpp"
 #include "orthonav/vio_keyframe_t.hpp"
 #include "services/registration/place_belief.h"
+#include "services/registration/place_prior.h"
 
 namespace orthonav::registration {
 

@@ -14,7 +14,7 @@
 #include "common/math/so3.h"
 #include "common/math/stamps.h"
 #include "services/registration/keyframe_message.h"
-#include "services/registration/map_message.h"
+#include "services/registration/map/map_message.h"
 #include "services/registration/place_message.h"
 
 namespace orthonav::registration {
@@ -43,8 +43,7 @@ constexpr double kGoesOnFor = 5;       // s
 RegistrationService::Setup RegistrationService::read(const std::filesystem::path& config_folder) {
   ServiceOptions options;
   ConfigNode node = ConfigNode::load(config_folder / "registration.yaml");
-  options.registrar = RegistrarOptions::from_config(node);
-  options.submap = SubmapOptions::from_config(node);
+  options.method = MethodOptions::from_config(node);
   double stddev_deg = options.default_heading_stddev / kRadian;
   node.read("default_heading_stddev_deg", stddev_deg, 0, 180);
   options.default_heading_stddev = stddev_deg * kRadian;
@@ -71,9 +70,7 @@ RegistrationService::RegistrationService(Node& node, const Setup& setup)
     : node_(node),
       options_(setup.options),
       camera_(setup.camera),
-      uses_submap_(setup.options.registrar.method == Method::kSubmap),
-      registrar_(setup.options.registrar, setup.camera),
-      submap_(setup.options.submap, setup.camera),
+      method_(make_method(setup.options.method, setup.camera)),
       keyframe_images_(setup.camera.width(), setup.camera.height()),
       headings_(static_cast<int64_t>(setup.options.max_compass_gap * 1e6)),
       map_client_(setup.options.map) {
@@ -151,20 +148,20 @@ void RegistrationService::handle(const map_info_t& info) {
   if (info.fingerprint == problem_fingerprint_) return;
   const MapLevel level = level_of(info);
   std::string problem = problem_of(info);
-  const char* wanted = features_for(options_.registrar.method);
+  const char* wanted = features_for(options_.method.registrar.method);
   if (problem.empty() && info.features != wanted) {
     problem = fmt::format("method {} needs a map with features: {} (map_server.yaml), this one has {}",
-                          name_of(options_.registrar.method), wanted, info.features);
+                          name_of(options_.method.registrar.method), wanted, info.features);
   }
   // What is no use does not displace a map that is: the server goes on serving it, or it is all here.
-  if (!problem.empty() && (has_map() || map_client_.store().num_complete() > 0)) {
+  if (!problem.empty() && (method_->has_map() || map_client_.store().num_complete() > 0)) {
     node_.health().add("map.rejected");
     node_.health().reject("map_info", problem);
     return;
   }
   if (problem.empty() ? map_client_.offer(level) : problem != map_problem_) {
     // Another map than before, of use or not.
-    clear_map();
+    method_->clear_map();
     map_fingerprint_.clear();
     if (!problem.empty()) map_client_.clear();
   }
@@ -194,8 +191,7 @@ void RegistrationService::handle(const nav_state_t& state) {
 
 void RegistrationService::handle(const position_hint_t& hint) {
   node_.health().add("hints.received");
-  std::string problem = area_of(hint, frame_).problem;
-  if (!uses_submap_) problem = fmt::format("method {} takes no hints", name_of(options_.registrar.method));
+  const std::string problem = area_of(hint, frame_).problem;
   if (!problem.empty()) {
     node_.health().reject("hint", "POSITION_HINT refused: " + problem);
     return;
@@ -226,11 +222,6 @@ std::optional<PositionPrior> RegistrationService::expected_position(int64_t utim
   prior.stddev += kNavSpeedStddev * goes_on + std::max(kNavSpeedStddev, speed) * (std::abs(seconds) - goes_on);
   if (!prior.en.allFinite() || !std::isfinite(prior.stddev)) return std::nullopt;
   return prior;
-}
-
-void RegistrationService::clear_map() {
-  registrar_.clear_map();
-  submap_.clear_map();
 }
 
 void RegistrationService::request_tiles() {
@@ -284,8 +275,7 @@ void RegistrationService::take_map() {
   const MapLevel& level = *map_client_.level();
   const auto count = features->positions.size();
   try {
-    uses_submap_ ? submap_.set_map(std::move(*features), level.geometry)
-                 : registrar_.set_map(std::move(*features), level.geometry);
+    method_->set_map(std::move(*features), level.geometry);
   } catch (const std::invalid_argument& error) {
     map_problem_ = error.what();
     problem_fingerprint_ = level.layout.fingerprint;
@@ -305,7 +295,7 @@ void RegistrationService::handle(const vio_keyframe_t& keyframe) {
   if (repeats_.add(keyframe)) return;
   node_.health().add("keyframes.received");
   map_client_.see(keyframe.height_above_ground / camera_.focal());
-  if (!has_map()) {
+  if (!method_->has_map()) {
     node_.health().add("keyframes.before_map");
     return;
   }
@@ -330,7 +320,7 @@ void RegistrationService::process_pending() {
     const double decoding_ms = decoding.ms();
     const vio_keyframe_t keyframe = std::move(pending_.front());
     pending_.pop_front();
-    if (has_map()) register_keyframe(keyframe, image, decoding_ms);
+    if (method_->has_map()) register_keyframe(keyframe, image, decoding_ms);
   }
 }
 
@@ -353,10 +343,7 @@ void RegistrationService::register_keyframe(const vio_keyframe_t& message, const
   Fix fix;
   const Heading heading = headings_.at(message.utime).value_or(Heading{});
   if (!heading.known()) node_.health().add("keyframes.without_heading");
-  if (!heading.known() && !uses_submap_) {
-    fix.reason = fmt::format("no compass heading within {} s", options_.max_compass_gap);
-    node_.health().reject("keyframe.no_heading", fix.reason);
-  } else if (!image.ok()) {
+  if (!image.ok()) {
     fix.reason = image.error;
     node_.health().reject("keyframe.no_image", "a keyframe without its image: " + image.error);
   } else {
@@ -371,26 +358,15 @@ Fix RegistrationService::register_image(const vio_keyframe_t& message, const cv:
                                         map_fix_t& out) {
   const Keyframe keyframe = keyframe_of(message);
   const Stopwatch describing(node_);
-  if (uses_submap_) {
-    if (hint_) submap_.hint(area_of(*hint_, frame_).area);
-    hint_.reset();
-    submap_.describe(keyframe, message.session, image, heading);
-    out.describe_ms += describing.ms();
-    const Stopwatch searching(node_);
-    submap_.search(expected_position(message.utime));
-    out.match_ms = searching.ms();
-    const Stopwatch solving(node_);
-    Fix fix = submap_.solve();
-    out.solve_ms = solving.ms();
-    return fix;
-  }
-  const Query query = registrar_.describe(keyframe, image, heading);
+  if (hint_) method_->hint(area_of(*hint_, frame_).area);
+  hint_.reset();
+  method_->describe(keyframe, message.session, image, heading);
   out.describe_ms += describing.ms();
-  const Stopwatch matching(node_);
-  const auto matches = registrar_.match(query);
-  out.match_ms = matching.ms();
+  const Stopwatch searching(node_);
+  method_->search(expected_position(message.utime));
+  out.match_ms = searching.ms();
   const Stopwatch solving(node_);
-  Fix fix = registrar_.solve(keyframe, query, matches, heading);
+  Fix fix = method_->solve();
   out.solve_ms = solving.ms();
   return fix;
 }
@@ -401,7 +377,7 @@ void RegistrationService::publish(const vio_keyframe_t& keyframe, const Fix& fix
   out.utime = keyframe.utime;
   out.session = keyframe.session;
   out.keyframe_id = keyframe.id;
-  out.method = name_of(options_.registrar.method);
+  out.method = name_of(options_.method.registrar.method);
   out.map_fingerprint = map_fingerprint_;
   const double nan = std::numeric_limits<double>::quiet_NaN();
   const double full_turn = 2 * M_PI;
@@ -422,7 +398,7 @@ void RegistrationService::publish(const vio_keyframe_t& keyframe, const Fix& fix
 }
 
 void RegistrationService::publish_hypotheses(const vio_keyframe_t& keyframe) {
-  const PlaceBelief& belief = submap_.belief();
+  const PlaceBelief& belief = method_->belief();
   const auto& places = belief.hypotheses();
   node_.health().set("place.hypotheses", static_cast<double>(places.size()));
   node_.health().set("place.probability", places.empty() ? 0 : belief.probability(places.front().id));
@@ -435,7 +411,7 @@ void RegistrationService::report_state() {
   Health& health = node_.health();
   if (!map_problem_.empty()) {
     health.set_state(Health::State::kFailed, map_problem_);
-  } else if (!has_map()) {
+  } else if (!method_->has_map()) {
     health.set_state(Health::State::kStarting, map_client_.waiting_for());
   } else if (health.counter("compass.received") == 0) {
     health.set_state(Health::State::kStarting, "waiting for COMPASS");

@@ -7,6 +7,7 @@
 #include <deque>
 #include <filesystem>
 #include <map>
+#include <memory>
 #include <optional>
 #include <string>
 
@@ -27,15 +28,13 @@
 #include "orthonav/position_hint_t.hpp"
 #include "orthonav/vio_keyframe_t.hpp"
 #include "services/registration/heading_buffer.h"
-#include "services/registration/map_client.h"
-#include "services/registration/registrar.h"
-#include "services/registration/submap.h"
+#include "services/registration/map/map_client.h"
+#include "services/registration/methods.h"
 
 namespace orthonav::registration {
 
 struct ServiceOptions {
-  RegistrarOptions registrar;
-  SubmapOptions submap;
+  MethodOptions method;
   double declination = 0;                     // rad, east positive, of aircraft.yaml
   double default_heading_stddev = M_PI / 60;  // rad, where the compass does not say
   double max_compass_gap = 0.3;               // s between a keyframe and the compass samples used for it
@@ -66,8 +65,6 @@ class RegistrationService : public Service {
   void handle(const position_hint_t& hint);
   void handle(const vio_keyframe_t& keyframe);
   void see_time(int64_t utime);
-  bool has_map() const { return uses_submap_ ? submap_.has_map() : registrar_.has_map(); }
-  void clear_map();
   void request_tiles();
   void take_map();
   void process_pending();
@@ -82,9 +79,7 @@ class RegistrationService : public Service {
   Node& node_;
   ServiceOptions options_;
   CameraModel camera_;
-  bool uses_submap_;  // method submap: else registrar_ does the work
-  Registrar registrar_;
-  SubmapRegistrar submap_;
+  std::unique_ptr<Method> method_;
   NavGuard nav_guard_;
   std::deque<nav_state_t> nav_states_;  // of the last seconds, those with a position
 

@@ -25,7 +25,7 @@
 #include "orthonav/vio_state_t.hpp"
 #include "services/ingest/validator.h"
 #include "services/registration/keyframe_message.h"
-#include "services/registration/map_message.h"
+#include "services/registration/map/map_message.h"
 
 namespace {
 

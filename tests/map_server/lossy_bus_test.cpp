@@ -11,7 +11,7 @@
 #include "common/bus/node.h"
 #include "orthonav/health_t.hpp"
 #include "services/map_server/map_database_writer.h"
-#include "services/registration/map_message.h"
+#include "services/registration/map/map_message.h"
 #include "tests/support/child_process.h"
 #include "tests/support/temporary_folder.h"
 

@@ -1,4 +1,4 @@
-#include "services/registration/dot_products.h"
+#include "services/registration/submap/dot_products.h"
 
 #include <algorithm>
 #include <array>

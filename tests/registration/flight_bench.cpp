@@ -20,8 +20,7 @@
 #include "common/math/so3.h"
 #include "common/math/statistics.h"
 #include "services/registration/keyframe_message.h"
-#include "services/registration/registrar.h"
-#include "services/registration/submap.h"
+#include "services/registration/methods.h"
 #include "tests/registration/recorded_flight.h"
 #include "tests/registration/scale_bench.h"
 
@@ -55,23 +54,17 @@ void run(const Arguments& arguments) {
   const CameraModel& camera = aircraft.camera;
 
   ConfigNode node = ConfigNode::load(arguments.config / "registration.yaml");
-  SubmapOptions submap_options = SubmapOptions::from_config(node);
-  if (arguments.max_keyframes > 0) submap_options.max_keyframes = arguments.max_keyframes;
+  MethodOptions options = MethodOptions::from_config(node);
+  if (arguments.max_keyframes > 0) options.submap.max_keyframes = arguments.max_keyframes;
   const bool bounded = arguments.prior_sigma > 0;
   // Cold: nothing is ever accepted, so that nothing is known for the next keyframe. Whether it would be is judged here.
-  submap_options.evidence = arguments.evidence;
-  submap_options.coarse_places = arguments.coarse_places;
-  SubmapRegistrar submap(submap_options, camera);
-  RegistrarOptions options;
-  for (const Method method : {Method::kSubmap, Method::kPaper, Method::kM1, Method::kM2}) {
-    if (arguments.method == name_of(method)) options.method = method;
+  options.submap.evidence = arguments.evidence;
+  options.submap.coarse_places = arguments.coarse_places;
+  for (const MethodName each : {MethodName::kSubmap, MethodName::kPaper, MethodName::kM1, MethodName::kM2}) {
+    if (arguments.method == name_of(each)) options.registrar.method = each;
   }
-  Registrar registrar(options, camera);
-  if (arguments.method == "submap") {
-    submap.set_map(std::move(map.features), map.geometry);
-  } else {
-    registrar.set_map(std::move(map.features), map.geometry);
-  }
+  const std::unique_ptr<Method> method = make_method(options, camera);
+  method->set_map(std::move(map.features), map.geometry);
 
   std::FILE* csv = arguments.csv.empty() ? nullptr : std::fopen(arguments.csv.c_str(), "w");
   std::mt19937_64 random(static_cast<uint64_t>(arguments.seed));
@@ -87,27 +80,16 @@ void run(const Arguments& arguments) {
     const DecodedImage decoded = decode_image(*each.image, camera.width(), camera.height());
     const Truth& is = each.truth;
     const double start = now_ms();
-    double described = start, searched = start;
-    Fix fix;
-    if (arguments.method == "submap") {
-      std::optional<PositionPrior> prior;
-      if (bounded) {
-        prior =
-            PositionPrior{is.p_G.head<2>() + arguments.prior_sigma * Eigen::Vector2d(normal(random), normal(random)),
-                          arguments.prior_sigma};
-      }
-      submap.describe(keyframe, message.session, decoded.grey, heading);
-      described = now_ms();
-      submap.search(prior);
-      searched = now_ms();
-      fix = submap.solve();
-    } else {
-      const Query query = registrar.describe(keyframe, decoded.grey, heading);
-      described = now_ms();
-      const auto matches = registrar.match(query);
-      searched = now_ms();
-      fix = registrar.solve(keyframe, query, matches, heading);
+    std::optional<PositionPrior> prior;
+    if (bounded) {
+      prior = PositionPrior{is.p_G.head<2>() + arguments.prior_sigma * Eigen::Vector2d(normal(random), normal(random)),
+                            arguments.prior_sigma};
     }
+    method->describe(keyframe, message.session, decoded.grey, heading);
+    const double described = now_ms();
+    method->search(prior);
+    const double searched = now_ms();
+    const Fix fix = method->solve();
     const double end = now_ms();
     map_fix_t out;
     fill_fix(fix, map.frame, out);

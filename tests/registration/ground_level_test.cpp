@@ -1,4 +1,4 @@
-#include "services/registration/ground_level.h"
+#include "services/registration/submap/ground_level.h"
 
 #include <cmath>
 #include <random>
@@ -6,7 +6,7 @@
 
 #include <gtest/gtest.h>
 
-#include "services/registration/place_fit.h"
+#include "services/registration/submap/place_fit.h"
 #include "tests/registration/synthetic_flight.h"
 
 namespace orthonav::registration {

@@ -1,4 +1,4 @@
-#include "services/registration/ground_slope.h"
+#include "services/registration/submap/ground_slope.h"
 
 #include <cmath>
 #include <random>

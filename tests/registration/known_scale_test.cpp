@@ -1,4 +1,4 @@
-#include "services/registration/known_scale.h"
+#include "services/registration/submap/known_scale.h"
 
 #include <cmath>
 

@@ -1,4 +1,4 @@
-#include "services/registration/map_client.h"
+#include "services/registration/map/map_client.h"
 
 #include <limits>
 #include <set>

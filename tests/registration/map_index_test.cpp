@@ -1,4 +1,4 @@
-#include "services/registration/map_index.h"
+#include "services/registration/map/map_index.h"
 
 #include <gtest/gtest.h>
 

@@ -38,8 +38,8 @@
 #include "common/features/orientation_field.h"
 #include "common/geo/raster.h"
 #include "common/math/statistics.h"
-#include "services/registration/registrar.h"
-#include "services/registration/submap.h"
+#include "services/registration/paper/registrar.h"
+#include "services/registration/submap/submap.h"
 #include "tools/evaluate_registration/evaluation.h"
 
 namespace {
@@ -182,7 +182,7 @@ Scene port(const std::filesystem::path& folder, int num_views) {
   return scene;
 }
 
-MapFeatures describe_map(const Scene& scene, const MapGeometry& geometry, Method method) {
+MapFeatures describe_map(const Scene& scene, const MapGeometry& geometry, MethodName method) {
   MapFeatures features;
   std::vector<cv::Point2f> points;
   if (geometry.keypoint_size > 0) {
@@ -192,7 +192,7 @@ MapFeatures describe_map(const Scene& scene, const MapGeometry& geometry, Method
         points.emplace_back(static_cast<float>(u), static_cast<float>(v));
       }
     }
-    features.descriptors = method == Method::kSubmap
+    features.descriptors = method == MethodName::kSubmap
                                ? OrientationField(scene.map, {.keypoint_size = geometry.keypoint_size}).describe(points)
                                : FixedSift(geometry.keypoint_size).describe(scene.map, points);
   } else {
@@ -289,14 +289,14 @@ void run(const Arguments& arguments) {
   const int step = is_arroio ? arguments.step : 1;
   RegistrarOptions options;
   options.matcher.checks = arguments.checks;
-  for (const Method method : {Method::kSubmap, Method::kPaper, Method::kM1, Method::kM2}) {
+  for (const MethodName method : {MethodName::kSubmap, MethodName::kPaper, MethodName::kM1, MethodName::kM2}) {
     if (arguments.method == name_of(method)) options.method = method;
   }
-  const bool uses_submap = options.method == Method::kSubmap;
+  const bool uses_submap = options.method == MethodName::kSubmap;
   std::optional<Video> video;
   if (is_arroio) video.emplace(scene);
   MapGeometry geometry{scene.metres_per_pixel, arguments.size, arguments.stride};
-  if (options.method == Method::kM2) geometry.keypoint_size = geometry.keypoint_stride = 0;
+  if (options.method == MethodName::kM2) geometry.keypoint_size = geometry.keypoint_stride = 0;
   const double start = now_ms();
   const MapFeatures features = describe_map(scene, geometry, options.method);
   fmt::print("{}: {} features described in {:.2f} s\n", arguments.scene, features.positions.size(),
@@ -350,7 +350,7 @@ void run(const Arguments& arguments) {
         const Query query = registrar.describe(keyframe, view.image, heading);
         fix = registrar.solve(keyframe, query, registrar.match(query), heading);
         const Eigen::Vector2d body = (query.R_G_W * keyframe.p_W_B).head<2>();
-        const bool points = options.method == Method::kPaper;
+        const bool points = options.method == MethodName::kPaper;
         found = fix.translation + (points ? body : Eigen::Vector2d(0, 0));
       }
       times.push_back(now_ms() - begin);
@@ -415,7 +415,7 @@ void run_growth(const Arguments& arguments) {
   const Scene scene = arroio(arguments.data / "arroio_do_meio");
   if (scene.map.empty() || scene.views.empty()) throw std::runtime_error("no data in " + arguments.data.string());
   const MapGeometry geometry{scene.metres_per_pixel, arguments.size, arguments.stride};
-  const Method method = arguments.method == "paper" ? Method::kPaper : Method::kSubmap;
+  const MethodName method = arguments.method == "paper" ? MethodName::kPaper : MethodName::kSubmap;
   const CameraModel camera = camera_of(scene);
   const MapFeatures real = describe_map(scene, geometry, method);
   const double of_the_scene = ProcessUsage::resident_bytes() / kGib;
@@ -428,7 +428,7 @@ void run_growth(const Arguments& arguments) {
     options.method = method;
     Registrar registrar(options, camera);
     double begin = now_ms();
-    if (method == Method::kSubmap) {
+    if (method == MethodName::kSubmap) {
       submap.set_map(std::move(plain), geometry);
     } else {
       registrar.set_map(std::move(plain), geometry);
@@ -444,7 +444,7 @@ void run_growth(const Arguments& arguments) {
       const Heading heading{view.rotation, 3 * M_PI / 180};
       begin = now_ms();
       Fix fix;
-      if (method == Method::kSubmap) {
+      if (method == MethodName::kSubmap) {
         submap.describe(keyframe, 1, view.image, heading);
         submap.search(std::nullopt);
         fix = submap.solve();

@@ -5,6 +5,8 @@
 #include <Eigen/Geometry>
 #include <gtest/gtest.h>
 
+#include "services/registration/place_prior.h"
+
 namespace orthonav::registration {
 namespace {
 

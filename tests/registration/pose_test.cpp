@@ -1,4 +1,4 @@
-#include "services/registration/pose.h"
+#include "services/registration/paper/pose.h"
 
 #include <random>
 

@@ -1,4 +1,4 @@
-#include "services/registration/query.h"
+#include "services/registration/paper/query.h"
 
 #include <limits>
 
@@ -81,6 +81,13 @@ TEST(Query, UsesPointsWithSmallReprojectionErrorOnly) {
   EXPECT_EQ(query.points.size(), all - 5);
   EXPECT_EQ(query.points.front().index, 5);
   EXPECT_EQ(query.descriptors.rows, static_cast<int>(all) - 5);
+}
+
+TEST(Query, LeavesTheImageAsItWas) {
+  const Capture capture = SyntheticGround(1).capture({95, -80, 40}, 1.0, 0.03, -0.04);  // finer than the map: smoothed
+  const cv::Mat before = capture.image.clone();
+  make_query(capture.keyframe, capture.image, test_camera(), 1.0, kMap, {});
+  EXPECT_EQ(cv::norm(before, capture.image, cv::NORM_INF), 0);
 }
 
 class BadInput : public testing::Test {

@@ -1,4 +1,4 @@
-#include "services/registration/registrar.h"
+#include "services/registration/paper/registrar.h"
 
 #include <Eigen/Eigenvalues>
 #include <gmock/gmock.h>
@@ -19,7 +19,7 @@ Fix register_to(Registrar& registrar, const Capture& capture) {
   return registrar.solve(capture.keyframe, query, registrar.match(query), capture.heading);
 }
 
-RegistrarOptions options_of(Method method) {
+RegistrarOptions options_of(MethodName method) {
   RegistrarOptions options;
   options.method = method;
   return options;
@@ -53,10 +53,10 @@ TEST(Matcher, WantsDescriptors) {
   EXPECT_THROW(FlannMatcher(cv::Mat::zeros(5, 128, CV_32F), {}), std::invalid_argument);
 }
 
-class EveryMethod : public testing::TestWithParam<Method> {
+class EveryMethod : public testing::TestWithParam<MethodName> {
  protected:
   EveryMethod() : registrar_(options_of(GetParam()), test_camera()) {
-    const bool detected = GetParam() == Method::kM2;
+    const bool detected = GetParam() == MethodName::kM2;
     registrar_.set_map(detected ? ground_.detected_features() : ground_.grid_features(8), detected ? kDetected : kGrid);
   }
   SyntheticGround ground_{1};
@@ -73,7 +73,7 @@ TEST_P(EveryMethod, FindsItselfOnTheMapFromAnUnknownStart) {
     EXPECT_EQ(fix.pairs.size(), static_cast<size_t>(fix.num_inliers));
     const Eigen::Vector3d error = fix.p_G_B - capture.p_G_B;
     // The image's translation takes the tilted picture of the ground for a map: its middle stays in place.
-    EXPECT_LT(error.head<2>().norm(), GetParam() == Method::kPaper ? 0.6 : 1.5) << heading;
+    EXPECT_LT(error.head<2>().norm(), GetParam() == MethodName::kPaper ? 0.6 : 1.5) << heading;
     EXPECT_LT(std::abs(error.z()), 1.0);
     EXPECT_LT(fix.q_G_B.angularDistance(capture.q_G_B), 0.02);
     const Eigen::SelfAdjointEigenSolver<Eigen::Matrix3d> eigen(fix.covariance);
@@ -89,7 +89,7 @@ TEST_P(EveryMethod, IsNotSureOnAnotherGround) {
   // Where the truth is on the map, second places have less than half of the first's inliers. The detector gives m2
   // hundreds of votes, of which 15 agree by chance: that method has no other defence.
   EXPECT_GT(2 * fix.num_second_inliers, fix.num_inliers);
-  if (GetParam() == Method::kM2) return;
+  if (GetParam() == MethodName::kM2) return;
   EXPECT_FALSE(fix.valid);
   EXPECT_THAT(fix.reason, HasSubstr("inliers"));
 }
@@ -102,12 +102,13 @@ TEST_P(EveryMethod, PassesOnWhyAKeyframeWasRefused) {
   EXPECT_THAT(fix.reason, HasSubstr("height"));
 }
 
-INSTANTIATE_TEST_SUITE_P(Registration, EveryMethod, testing::Values(Method::kPaper, Method::kM1, Method::kM2),
+INSTANTIATE_TEST_SUITE_P(Registration, EveryMethod,
+                         testing::Values(MethodName::kPaper, MethodName::kM1, MethodName::kM2),
                          [](const auto& instance) { return std::string(name_of(instance.param)); });
 
 TEST(Paper, TakesTheErrorsOfCompassAndScaleIntoItsCovariance) {
   const SyntheticGround ground(1);
-  Registrar registrar(options_of(Method::kPaper), test_camera());
+  Registrar registrar(options_of(MethodName::kPaper), test_camera());
   registrar.set_map(ground.grid_features(8), kGrid);
   Capture capture = ground.capture({95, -80, 60}, 1.0, 0.1, -0.1, 1.02);
   capture.heading.value += 0.04;
@@ -122,7 +123,7 @@ TEST(Paper, TakesTheErrorsOfCompassAndScaleIntoItsCovariance) {
 
 TEST(Paper, RefusesAPoseWhoseVerticalIsNotTheOdometrys) {
   const SyntheticGround ground(1);
-  RegistrarOptions options = options_of(Method::kPaper);
+  RegistrarOptions options = options_of(MethodName::kPaper);
   options.max_tilt_difference = 0.05;
   Registrar registrar(options, test_camera());
   registrar.set_map(ground.grid_features(8), kGrid);
@@ -135,9 +136,9 @@ TEST(Paper, RefusesAPoseWhoseVerticalIsNotTheOdometrys) {
 
 TEST(Registrar, RefusesAMapOfTheOtherKindAndWorksOnlyWithOne) {
   const SyntheticGround ground(1, 200);
-  Registrar m2(options_of(Method::kM2), test_camera());
+  Registrar m2(options_of(MethodName::kM2), test_camera());
   EXPECT_THROW(m2.set_map(ground.grid_features(8), kGrid), std::invalid_argument);
-  Registrar paper(options_of(Method::kPaper), test_camera());
+  Registrar paper(options_of(MethodName::kPaper), test_camera());
   EXPECT_THROW(paper.set_map(ground.detected_features(), kDetected), std::invalid_argument);
   EXPECT_THROW(paper.set_map({}, kGrid), std::invalid_argument);
   EXPECT_FALSE(paper.has_map());

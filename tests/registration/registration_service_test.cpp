@@ -519,7 +519,7 @@ TEST_F(RegistrationOnTheBus, AMapOfNoUseDoesNotDisplaceTheOneInUse) {
   expect_fix(fixes_.messages.front());
 }
 
-TEST_F(RegistrationOnTheBus, AHintIsRefusedByNameWhereItSaysNothingOrTheMethodTakesNone) {
+TEST_F(RegistrationOnTheBus, AHintIsTakenByEveryMethodAndRefusedByNameWhereItSaysNothing) {
   fetch_map();
   send_all(now_, 1);
   pass(1);
@@ -531,10 +531,13 @@ TEST_F(RegistrationOnTheBus, AHintIsRefusedByNameWhereItSaysNothingOrTheMethodTa
   bus_.publish(channel::kPositionHint, &hint);
   pass(2);
   EXPECT_EQ(node_.health().counter("hints.received"), 1);
+  EXPECT_EQ(node_.health().counter("rejected.hint"), 0);
+  hint.radius = -1;
+  bus_.publish(channel::kPositionHint, &hint);
+  pass(2);
   EXPECT_EQ(node_.health().counter("rejected.hint"), 1);
   ASSERT_FALSE(heartbeats.messages.empty());
-  EXPECT_THAT(heartbeats.messages.back().message, HasSubstr("method paper takes no hints"));
-  EXPECT_EQ(node_.health().counter("place.hypotheses"), 0);
+  EXPECT_THAT(heartbeats.messages.back().message, HasSubstr("radius -1 m"));
 }
 
 // The method that orthonav ships with.

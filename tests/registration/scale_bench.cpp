@@ -15,7 +15,7 @@
 #include "common/camera/image_decode.h"
 #include "common/math/statistics.h"
 #include "services/registration/keyframe_message.h"
-#include "services/registration/submap.h"
+#include "services/registration/submap/submap.h"
 #include "tests/registration/recorded_flight.h"
 
 namespace orthonav::registration {

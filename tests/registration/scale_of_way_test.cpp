@@ -1,4 +1,4 @@
-#include "services/registration/scale_of_way.h"
+#include "services/registration/submap/scale_of_way.h"
 
 #include <cmath>
 #include <vector>

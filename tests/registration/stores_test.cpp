@@ -4,7 +4,7 @@
 #include <gtest/gtest.h>
 
 #include "services/registration/heading_buffer.h"
-#include "services/registration/tile_store.h"
+#include "services/registration/map/tile_store.h"
 
 namespace orthonav::registration {
 namespace {

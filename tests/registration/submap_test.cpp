@@ -1,4 +1,4 @@
-#include "services/registration/submap.h"
+#include "services/registration/submap/submap.h"
 
 #include <algorithm>
 #include <functional>

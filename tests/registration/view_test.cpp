@@ -1,4 +1,4 @@
-#include "services/registration/view.h"
+#include "services/registration/submap/view.h"
 
 #include <algorithm>
 #include <cmath>

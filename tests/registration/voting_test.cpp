@@ -1,4 +1,4 @@
-#include "services/registration/voting.h"
+#include "services/registration/paper/voting.h"
 
 #include <random>
 

@@ -9,7 +9,7 @@
 #include <opencv2/imgcodecs.hpp>
 #include <opencv2/imgproc.hpp>
 
-#include "services/registration/query.h"
+#include "services/registration/paper/query.h"
 
 namespace orthonav::evaluate_registration {
 namespace {
@@ -94,7 +94,7 @@ class Evaluator {
     outcome.accepted = fix.valid;
     outcome.refused = fix.reason;
     outcome.num_inliers = fix.num_inliers;
-    const bool points = options_.submap || options_.registrar.method == Method::kPaper;
+    const bool points = options_.submap || options_.registrar.method == MethodName::kPaper;
     if (const auto place = place_of(fix, picture.keyframe, heading, points)) outcome.error = (*place - photo.en).norm();
     return outcome;
   }

@@ -7,8 +7,8 @@
 #include <string>
 #include <vector>
 
-#include "services/registration/registrar.h"
-#include "services/registration/submap.h"
+#include "services/registration/paper/registrar.h"
+#include "services/registration/submap/submap.h"
 #include "tools/evaluate_registration/photo_folder.h"
 
 namespace orthonav::evaluate_registration {

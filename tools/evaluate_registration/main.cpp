@@ -11,14 +11,14 @@
 #include "common/features/fixed_sift.h"
 #include "common/math/statistics.h"
 #include "services/map_server/map_builder.h"
-#include "services/registration/map_client.h"
+#include "services/registration/map/map_client.h"
 #include "tools/evaluate_registration/evaluation.h"
 
 namespace {
 
 using namespace orthonav;
 using namespace orthonav::evaluate_registration;
-using registration::Method;
+using registration::MethodName;
 
 constexpr double kRadian = M_PI / 180.0;
 
@@ -76,7 +76,7 @@ void run(Arguments& arguments) {
   options.submaps = registration::SubmapOptions::from_config(node);
   options.submaps.max_keyframes = options.keyframes;
   options.submap = arguments.method == "submap";
-  for (const Method method : {Method::kPaper, Method::kM1, Method::kM2}) {
+  for (const MethodName method : {MethodName::kPaper, MethodName::kM1, MethodName::kM2}) {
     if (arguments.method == registration::name_of(method)) options.registrar.method = method;
   }
   options.heading_stddev = arguments.heading_stddev_deg * kRadian;
