@@ -46,6 +46,18 @@ std::vector<Layer> load_layers(const std::filesystem::path& file, int depth) {
   }
 }
 
+std::function<void(const ConfigRead&)>& observer() {
+  static std::function<void(const ConfigRead&)> instance;
+  return instance;
+}
+
+// As far as files are written: angles are in degrees there.
+template <class T>
+std::string text_of(const T& value) {
+  if constexpr (std::is_same_v<T, double>) return fmt::format("{:.6g}", value);
+  return fmt::format("{}", value);
+}
+
 template <class T>
 constexpr const char* type_name() {
   if constexpr (std::is_same_v<T, bool>) return "true or false";
@@ -62,6 +74,8 @@ struct ConfigNode::Impl {
   std::vector<Layer> layers;
   std::string path;  // keys from the top, with a trailing dot
   std::set<std::string> known;
+
+  std::filesystem::path file() const { return layers.empty() ? std::filesystem::path() : layers.front().file; }
 
   // The most specific layer that has the key.
   const Layer* find(const std::string& key) {
@@ -127,10 +141,18 @@ ConfigNode ConfigNode::child(const std::string& key) {
   return child_or_empty(key);
 }
 
+void ConfigNode::observe(std::function<void(const ConfigRead&)> each) {
+  observer() = std::move(each);
+}
+
 template <class T>
 void ConfigNode::read(const std::string& key, T& value) {
   const Layer* layer = impl_->find(key);
-  if (layer == nullptr) return;
+  const std::string given = observer() ? text_of(value) : "";
+  if (layer == nullptr) {
+    if (observer()) observer()({impl_->file(), impl_->path + key, given, given, false});
+    return;
+  }
   const YAML::Node& parent = layer->node;
   try {
     value = parent[key].as<T>();
@@ -140,6 +162,7 @@ void ConfigNode::read(const std::string& key, T& value) {
   if constexpr (std::is_same_v<T, double>) {
     if (std::isnan(value)) fail(key, "must not be NaN");
   }
+  if (observer()) observer()({impl_->file(), impl_->path + key, given, text_of(value), true});
 }
 
 template <class T>

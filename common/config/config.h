@@ -6,6 +6,7 @@
 #pragma once
 
 #include <filesystem>
+#include <functional>
 #include <memory>
 #include <set>
 #include <stdexcept>
@@ -23,8 +24,21 @@ class ConfigError : public std::runtime_error {
   using std::runtime_error::runtime_error;
 };
 
+// A key as it was read: what the file says in place of the default.
+struct ConfigRead {
+  std::filesystem::path file;  // the one that it was read for
+  std::string key;             // from the top: a.b
+  std::string given;           // the default
+  std::string read;
+  bool in_file = false;
+};
+
 class ConfigNode {
  public:
+  // Calls `observer` at each read until it is set to none; for tests that compare files with defaults. Of all nodes,
+  // not thread-safe.
+  static void observe(std::function<void(const ConfigRead&)> observer);
+
   // Reads a YAML file whose top level is a map. Throws ConfigError when it is missing or malformed.
   static ConfigNode load(const std::filesystem::path& file);
 

@@ -1,19 +1,15 @@
 #include "services/fusion/options.h"
 
-#include <numbers>
-
 #include "common/config/config.h"
 
 namespace orthonav::fusion {
 namespace {
 
-constexpr double kRadPerDeg = std::numbers::pi / 180.0;
-
 // Reads an angle that the file gives in degrees.
 void read_deg(ConfigNode& node, const char* key, double& radians, double high_deg) {
-  double degrees = radians / kRadPerDeg;
+  double degrees = radians / kDegree;
   node.read(key, degrees, 1e-6, high_deg);
-  radians = degrees * kRadPerDeg;
+  radians = degrees * kDegree;
 }
 
 void read_edge(ConfigNode node, EdgeOptions& edge) {
@@ -85,7 +81,7 @@ void read_inertial(ConfigNode node, InertialOptions& inertial) {
 void read_aircraft(ConfigNode aircraft, FusionOptions& options) {
   double declination_deg = 0.0;
   aircraft.require("magnetic_declination_deg", declination_deg);
-  options.declination = declination_deg * kRadPerDeg;
+  options.declination = declination_deg * kDegree;
   ConfigNode imu = aircraft.child("imu");
   imu.read("gravity", options.inertial.gravity, 9.0, 10.0);
   imu.read("accel_noise", options.inertial.accel_noise, 1e-9, 10.0);

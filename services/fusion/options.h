@@ -2,16 +2,19 @@
 #pragma once
 
 #include <filesystem>
+#include <numbers>
 
 namespace orthonav::fusion {
+
+inline constexpr double kDegree = std::numbers::pi / 180.0;
 
 // How well the odometry knows the motion from one keyframe to the next.
 struct EdgeOptions {
   double position_walk = 6e-4;          // of the height above ground, per axis and square root of a second
   double default_height = 150.0;        // m, where the height above ground is unknown
-  double turn_walk = 0.000122;          // rad per axis and square root of a second, of the odometry's attitude
+  double turn_walk = 0.007 * kDegree;   // rad per axis and square root of a second, of the odometry's attitude
   bool use_odometry_covariance = true;  // in place of the above where the keyframe carries one, if it is larger
-  double lean_stddev = 0.007;           // rad per axis, of the odometry's vertical, at least: its own word, if larger
+  double lean_stddev = 0.4 * kDegree;   // rad per axis, of the odometry's vertical, at least: its own word, if larger
   double scale_stddev = 0.02;           // of the odometry's scale, as a fraction
   double start_scale_stddev = 0.1;      // the same at the start of a session, when it is not settled yet
   double scale_time = 600.0;            // s, over which it forgets
@@ -27,7 +30,7 @@ struct FixOptions {
   double stddev_floor = 0.5;              // m per axis, added to what a fix says of itself
   double tilt_distance = 0.25;            // of the height: way over which what a fix's tilt errs by is forgotten
   double heading_stddev_floor =
-      0.026;                         // rad, added to a fitted heading's own: neighbours err alike, towards the compass
+      1.5 * kDegree;                 // rad, added to a fitted heading's own: neighbours err alike, towards the compass
   double scale_stddev_floor = 0.05;  // added to a fitted scale's own: all of a flight err alike by 1 %
   double default_stddev = 5.0;       // m per axis where the fix carries no covariance
   double huber = 1.5;                // standard deviations from which a fix counts linearly, equation (15)
@@ -35,12 +38,12 @@ struct FixOptions {
 
 // How well the compass is known, and headings of fixes that come from it.
 struct CompassOptions {
-  double bias_stddev = 0.09;   // rad, of the installation
-  double bias_time = 600.0;    // s, over which it forgets
-  double noise_stddev = 0.05;  // rad, of one reading: nearby iron, tilt
-  double innovation = 4.0;     // Mahalanobis distance above which a reading is not used
-  double huber = 2.0;          // standard deviations from which it counts linearly
-  double fix_stddev = 0.09;    // rad, of the heading of a fix that carries none
+  double bias_stddev = 5 * kDegree;   // rad, of the installation
+  double bias_time = 600.0;           // s, over which it forgets
+  double noise_stddev = 3 * kDegree;  // rad, of one reading: nearby iron, tilt
+  double innovation = 4.0;            // Mahalanobis distance above which a reading is not used
+  double huber = 2.0;                 // standard deviations from which it counts linearly
+  double fix_stddev = 5 * kDegree;    // rad, of the heading of a fix that carries none
 };
 
 // When a place is believed, and when it is left for another one.
@@ -61,17 +64,17 @@ struct ProtectionOptions {
 
 // Propagation by the inertial sensor between odometry states, and while the odometry restarts.
 struct InertialOptions {
-  double gravity = 9.81;            // m/s^2; aircraft.yaml, imu
-  double accel_noise = 2e-3;        // m/s^2/sqrt(Hz); aircraft.yaml, imu
-  double gyro_noise = 1.7e-4;       // rad/s/sqrt(Hz); aircraft.yaml, imu
-  double accel_bias_stddev = 0.05;  // m/s^2, of the bias that the odometry gives
-  double gyro_bias_stddev = 0.001;  // rad/s, of the bias that the odometry gives
-  double max_gap = 0.05;            // s without a sample, beyond which the motion between is a guess: straight on,
-  double bridged_gap = 2.0;         // and up to so many s it is one, with these uncertainties; beyond, nothing is known
-  double gap_accel_stddev = 1.5;    // m/s^2, of the mean acceleration in a gap
-  double gap_tilt_stddev = 0.1;     // rad per axis, of the change of tilt over a gap
-  double gap_turn_stddev = 0.2;     // rad/s, of the mean rate of turn in a gap
-  double max_time = 10.0;           // s without an odometry state after which there is no position
+  double gravity = 9.81;                     // m/s^2; aircraft.yaml, imu
+  double accel_noise = 2e-3;                 // m/s^2/sqrt(Hz); aircraft.yaml, imu
+  double gyro_noise = 1.7e-4;                // rad/s/sqrt(Hz); aircraft.yaml, imu
+  double accel_bias_stddev = 0.05;           // m/s^2, of the bias that the odometry gives
+  double gyro_bias_stddev = 0.06 * kDegree;  // rad/s, of the bias that the odometry gives
+  double max_gap = 0.05;          // s without a sample, beyond which the motion between is a guess: straight on,
+  double bridged_gap = 2.0;       // and up to so many s it is one, with these uncertainties; beyond, nothing is known
+  double gap_accel_stddev = 1.5;  // m/s^2, of the mean acceleration in a gap
+  double gap_tilt_stddev = 5.7 * kDegree;   // rad per axis, of the change of tilt over a gap
+  double gap_turn_stddev = 11.5 * kDegree;  // rad/s, of the mean rate of turn in a gap
+  double max_time = 10.0;                   // s without an odometry state after which there is no position
 };
 
 struct FusionOptions {

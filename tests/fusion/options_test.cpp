@@ -45,29 +45,6 @@ TEST(FusionOptions, DeclinationAndGravityAreTheAircrafts) {
   EXPECT_EQ(options.inertial.gravity, 9.79);
 }
 
-TEST(FusionOptions, TheShippedDefaultsAreThoseOfTheCode) {
-  // Tests and benchmarks run on the code's: a difference would be measured nowhere.
-  const FusionOptions file = FusionOptions::load(std::filesystem::path(ORTHONAV_SOURCE) / "config/default");
-  const FusionOptions code;
-  EXPECT_NEAR(file.edge.position_walk, code.edge.position_walk, 1e-9);
-  EXPECT_NEAR(file.edge.turn_walk, code.edge.turn_walk, 2e-6);
-  EXPECT_NEAR(file.edge.lean_stddev, code.edge.lean_stddev, 5e-5);
-  EXPECT_NEAR(file.edge.scale_stddev, code.edge.scale_stddev, 1e-9);
-  EXPECT_NEAR(file.edge.velocity_stddev, code.edge.velocity_stddev, 1e-9);
-  EXPECT_NEAR(file.fix.shared_horizontal_stddev, code.fix.shared_horizontal_stddev, 1e-9);
-  EXPECT_NEAR(file.fix.shared_vertical_stddev, code.fix.shared_vertical_stddev, 1e-9);
-  EXPECT_NEAR(file.fix.shared_distance, code.fix.shared_distance, 1e-9);
-  EXPECT_NEAR(file.fix.shared_vertical_distance, code.fix.shared_vertical_distance, 1e-9);
-  EXPECT_NEAR(file.fix.tilt_distance, code.fix.tilt_distance, 1e-9);
-  EXPECT_NEAR(file.compass.bias_stddev, code.compass.bias_stddev, 3e-3);
-  EXPECT_EQ(file.lock.probability, code.lock.probability);
-  EXPECT_EQ(file.lock.fix_probability, code.lock.fix_probability);
-  EXPECT_EQ(file.lock.wrong_distance, code.lock.wrong_distance);
-  EXPECT_EQ(file.lock.wrong_height, code.lock.wrong_height);
-  EXPECT_EQ(file.lock.jump_time, code.lock.jump_time);
-  EXPECT_EQ(file.lock.innovation, code.lock.innovation);
-}
-
 TEST(FusionOptions, AMisspeltKeyIsAnErrorWithItsLine) {
   try {
     FusionOptions::load(written("window_keyframes: 50\nlock:\n  probabilty: 0.9\n"));
