@@ -35,7 +35,7 @@ double Agreement::place_log_odds(int64_t now, const LockOptions& options) const 
 }
 
 double Agreement::accuracy_log_odds(int64_t now, const LockOptions& options) const {
-  return log_odds(log_odds_of(options.fix_probability), now, options);
+  return log_odds(std::fmin(log_odds_of(options.fix_probability), most_told_), now, options);
 }
 
 double Agreement::log_odds(double first, int64_t now, const LockOptions& options) const {

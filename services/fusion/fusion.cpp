@@ -76,6 +76,7 @@ void Fusion::forget_rival() {
 }
 
 void Fusion::leave_map() {
+  astray_.reset();
   frame_.reset();
   inertial_.invalidate();
   last_located_.reset();
@@ -117,6 +118,12 @@ Outcome Fusion::add_keyframe(const Keyframe& keyframe) {
     clean.relative_covariance.setConstant(kUnknown);
   }
   if (session_utime_ == 0) session_utime_ = clean.utime;
+  if (graph_ && astray_) {
+    const double off = astray_variance(clean.utime, last_state_ ? last_state_->v_W_B : Eigen::Vector3d::Zero());
+    clean.astray_variance = std::max(0.0, off - astray_->in_graph);
+    if (!std::exchange(astray_->turn_in_graph, true)) clean.astray_turn = kAnyHeading * kAnyHeading;
+    astray_->in_graph += clean.astray_variance;
+  }
   waypoints_.emplace_hint(waypoints_.end(), clean.id, waypoint);
   if (graph_) {
     append(waypoint);

@@ -107,6 +107,9 @@ class Fusion {
   void forget_rival();
   void solve_and_watch_for_jump();
   void update_newest();
+  void doubt_way(int64_t utime);
+  // m^2 per axis, by which a position may be off that is said to move at `v` (m/s) now; 0 where nothing is astray.
+  double astray_variance(int64_t utime, const Eigen::Vector3d& v) const;
   void start_bridge(const OdometryState& state);
   void try_bridge();
   Solution located(const OdometryState& state, Solution solution);
@@ -149,6 +152,15 @@ class Fusion {
   // After a restart of the fusion.
   std::optional<Memory> memory_;  // to be gone on with
   int to_confirm_ = 0;            // fixes to be believed before a position that was carried across counts as map-aided
+  // Where the odometry lost sight of all that it had seen, until a fix agrees: from then on the aircraft may have flown
+  // elsewhere than the odometry says.
+  struct Astray {
+    int64_t utime = 0;
+    double speed = 0.0;     // m/s, before
+    double in_graph = 0.0;  // m^2 per axis, of what it may be off by, that the graph's keyframes have
+    bool turn_in_graph = false;
+  };
+  std::optional<Astray> astray_;
 
   // While the odometry restarts.
   std::optional<Estimate> before_;  // newest node of the segment before

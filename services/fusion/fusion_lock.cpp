@@ -15,9 +15,8 @@
 namespace orthonav::fusion {
 namespace {
 
-// Standard deviation of what nothing is known of: a position on the map, m, and a heading, rad.
+// Standard deviation of a position on the map of which nothing is known, m.
 constexpr double kAnywhere = 1e4;
-constexpr double kAnyHeading = 1.0;
 // Log-odds against another place from which on it is not reckoned with: one in a hundred.
 constexpr double kNoDoubt = 4.6;
 // Newest fixes not believed that are searched for agreement.
@@ -264,7 +263,9 @@ void Fusion::use(const Sighting& sighting) {
   if (rival_ && rival_log_odds_ - ours < -kNoDoubt) forget_rival();
   believed_.add(sighting.keyframe, fix, height, options_.lock);
   confirming_.add(sighting.keyframe, fix, height, options_.lock);
-  to_confirm_ = std::max(0, to_confirm_ - 1);
+  // One of before the way was lost says nothing of it.
+  if (!astray_ || sighting.keyframe.utime > astray_->utime) to_confirm_ = std::max(0, to_confirm_ - 1);
+  if (to_confirm_ == 0) astray_.reset();
   ++num_fixes_;
   newest_fix_utime_ = std::max(newest_fix_utime_, sighting.fix.utime);
 }

@@ -13,6 +13,9 @@ namespace {
 
 // Without an odometry state for so long the position rests on the inertial sensor alone, s.
 constexpr double kBlindAfter = 1.0;
+// How far a place is to be trusted that the odometry has not carried along without a break: what ended a session may
+// have led it astray before.
+constexpr double kCarriedTrust = 0.9;
 // Standard deviation, m, of a position carried across a restart, beyond which one fix does not confirm it.
 constexpr double kWide = 5.0;
 
@@ -51,6 +54,7 @@ Fusion::Propagated Fusion::propagate(const OdometryState& state) {
       if ((state.p_W_B - last->p_W_B).norm() > options_.max_speed * duration) return refuse(Outcome::kJump);
     }
     if (!graph_) start_bridge(state);
+    if (graph_ && !state.has_tracks) doubt_way(state.utime);
     has_output_ = true;
   }
   Solution& solution = result.solution;
@@ -85,9 +89,34 @@ Fusion::Propagated Fusion::propagate(const OdometryState& state) {
   return result;
 }
 
+// Images may be missing for a moment; or they, and the inertial samples with them, are another aircraft's.
+void Fusion::doubt_way(int64_t utime) {
+  believed_ = Agreement(1, log_odds_of(kCarriedTrust), 0.0, utime);
+  confirming_ = {};
+  level_ = {};
+  to_confirm_ = std::max(to_confirm_, 1);
+  if (astray_) astray_->turn_in_graph = false;
+  if (astray_) return;
+  const bool has_speed = last_located_ && last_located_->v_G_B.allFinite();
+  astray_ = Astray{utime, has_speed ? last_located_->v_G_B.norm() : 0.0, 0.0, false};
+}
+
+// By the way that the aircraft may have flown, and by the one that is said.
+double Fusion::astray_variance(int64_t utime, const Eigen::Vector3d& v) const {
+  if (!astray_) return 0.0;
+  const double said = v.allFinite() ? v.norm() : 0.0;
+  const double off = (astray_->speed + said) * std::max(0.0, seconds_between(astray_->utime, utime));
+  return off * off;
+}
+
 // Fills in what depends on more than the pose.
 void Fusion::judge(Solution& solution, bool odometry, bool blind) {
   const bool is_located = solution.located();
+  if (is_located && astray_) {
+    const double more = astray_variance(solution.utime, solution.v_G_B) - astray_->in_graph;
+    solution.covariance.diagonal().head<3>().array() += std::max(0.0, more);
+    solution.horizontal_protection_level = solution.vertical_protection_level = kUnknown;
+  }
   if (is_located) {
     solution.num_fixes = num_fixes_;
     solution.time_since_fix = seconds_between(newest_fix_utime_, solution.utime);
@@ -240,6 +269,7 @@ void Fusion::try_bridge() {
   guess.x.segment<3>(kPosition) += back;
   StateVector stddev = bridge_->covariance.diagonal().cwiseSqrt();
   stddev.segment<3>(kPosition).array() += scale_stddev_at(first) * back.norm();
+  if (astray_) stddev(kYaw) = kAnyHeading;
   stddev.segment<2>(kLean).setConstant(stddev_of_lean(options_.edge, first));
   stddev(kScale) = scale_stddev_at(first);
   stddev.tail<3>() = shared_stddev(options_.fix);
@@ -250,8 +280,7 @@ void Fusion::try_bridge() {
   graph_->start(first, guess, stddev);
   for (auto next = std::next(waypoints_.begin()); next != waypoints_.end(); ++next) append(next->second);
   graph_->solve();
-  // As sure as one fix that does not say how sure it is: what led to the restart may have led the way astray.
-  believed_ = Agreement(1, kUnknown, 0.0, first.utime);
+  believed_ = Agreement(1, log_odds_of(kCarriedTrust), 0.0, first.utime);
   update_newest();
   for (Sighting& sighting : waiting_) sighting.place_in(*frame_);
   bridge_.reset();

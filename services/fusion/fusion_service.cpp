@@ -104,6 +104,7 @@ void FusionService::on_state(const vio_state_t& message) {
   state.utime = message.utime;
   state.session = message.session;
   state.has_pose = message.status != vio_state_t::INITIALISING;
+  state.has_tracks = message.num_tracked > 0;
   state.p_W_B = vector_of(message.p_W_B);
   state.q_W_B = quaternion_of(message.q_W_B);
   state.v_W_B = vector_of(message.v_W_B);

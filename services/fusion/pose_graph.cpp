@@ -50,6 +50,7 @@ Transition transition_between(const FusionOptions& options, const Keyframe& from
     if (own.trace() > covariance.trace()) covariance = own;
     turn_variance = std::max(turn_variance, up_Bj.dot(to.relative_covariance.bottomRightCorner<3, 3>() * up_Bj));
   }
+  covariance.diagonal().array() += to.astray_variance;
   transition.position_root = sqrt_information(covariance);
 
   const auto forget = [&](int index, double stddev, double ratio) {
@@ -59,6 +60,7 @@ Transition transition_between(const FusionOptions& options, const Keyframe& from
   };
   // Gyroscopes carry all three axes alike.
   transition.stddev.segment<3>(kYaw).setConstant(std::sqrt(turn_variance));
+  transition.stddev(kYaw) = std::sqrt(turn_variance + to.astray_turn);
   transition.lean_change = from.levelled - to.levelled;
   transition.lean_known = 1 / (std::pow(stddev_of_lean(edge, from), 2) + turn_variance);
   transition.lean_gained = std::pow(stddev_of_lean(edge, to), -2) - transition.lean_known;

@@ -32,6 +32,9 @@ struct Estimate {
 // Height that the odometry's errors grow with, m: it sees its way in pixels.
 double working_height(const EdgeOptions& edge, const Keyframe& keyframe);
 
+// Standard deviation of a heading of which nothing is known, rad.
+inline constexpr double kAnyHeading = 1.0;
+
 // The motion between two keyframes as the graph sees it; `q_G_W` turns the odometry's covariance into G.
 Transition transition_between(const FusionOptions& options, const Keyframe& from, const Keyframe& to,
                               const Eigen::Quaterniond& q_G_W);

@@ -21,9 +21,10 @@ inline constexpr double kUnknown = std::numeric_limits<double>::quiet_NaN();
 
 // The odometry's newest pose.
 struct OdometryState {
-  int64_t utime = 0;      // microseconds since the Unix epoch
-  int session = 0;        // of the odometry
-  bool has_pose = false;  // false while the odometry initialises
+  int64_t utime = 0;       // microseconds since the Unix epoch
+  int session = 0;         // of the odometry
+  bool has_pose = false;   // false while the odometry initialises
+  bool has_tracks = true;  // false: of what the frame before saw nothing was seen again
   Eigen::Vector3d p_W_B = Eigen::Vector3d::Zero();
   Eigen::Quaterniond q_W_B = Eigen::Quaterniond::Identity();
   Eigen::Vector3d v_W_B = Eigen::Vector3d::Zero();       // m/s; NaN: unknown
@@ -43,6 +44,8 @@ struct Keyframe {
   double height_above_ground = kUnknown;               // m, of B over the tracked points; NaN: unknown
   Eigen::Vector2d levelled = Eigen::Vector2d::Zero();  // rad, as in vio_keyframe_t
   double lean_stddev = kUnknown;  // rad per axis, of W's "up" by the odometry's own word by then; NaN: unknown
+  double astray_variance = 0.0;   // m^2 per axis: by which the way from the keyframe before may be another one,
+  double astray_turn = 0.0;       // rad^2: and its heading
   // Of the pose relative to keyframe id - 1: (position in the previous B, rotation vector in this B); NaN: unknown.
   Matrix6d relative_covariance = Matrix6d::Constant(kUnknown);
 };

@@ -17,6 +17,7 @@ Eigen::Quaterniond quaternion(const double* wxyz) {
 
 Keyframe keyframe_of(const vio_keyframe_t& message) {
   Keyframe keyframe;
+  keyframe.id = message.id;
   keyframe.p_W_B = Eigen::Vector3d(message.p_W_B);
   keyframe.q_W_B = quaternion(message.q_W_B);
   keyframe.extrinsics.p_B_C = Eigen::Vector3d(message.p_B_C);

@@ -24,6 +24,7 @@ struct TrackedPoint {
 };
 
 struct Keyframe {
+  int id = 0;  // counts from 0 within the session
   Eigen::Vector3d p_W_B = Eigen::Vector3d::Zero();
   Eigen::Quaterniond q_W_B = Eigen::Quaterniond::Identity();
   Extrinsics extrinsics;

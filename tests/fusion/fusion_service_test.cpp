@@ -38,6 +38,7 @@ class FusionOnABus : public ::testing::Test {
     for (const int k : {3, 4}) message.pose_covariance[7 * k] = state.lean_stddev * state.lean_stddev;
     put(state.v_W_B, message.v_W_B);
     message.height_above_ground = 109.0;
+    message.num_tracked = state.has_tracks ? 100 : 0;
     publish(channel::kVioState, message);
   }
   void send(const Keyframe& keyframe) {

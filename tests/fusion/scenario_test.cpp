@@ -63,6 +63,46 @@ TEST(Scenario, AnOdometryThatIsGoneForLongLosesThePositionAndFindsItAgain) {
   EXPECT_LT(error_at(flight, flown, flown.solutions.size() - 1), 4.0);
 }
 
+// For ten seconds the odometry flies another aircraft's way, and nothing of it is on the map.
+TEST(Scenario, AnOdometryThatLosesSightOfAllItSawIsDoubtedAtOnceAndLeftWithTheFirstSureFix) {
+  for (uint64_t seed = 21; seed <= 23; ++seed) {
+    SyntheticFlight flight = make_flight(two_minutes(), seed);
+    for (Fix& fix : flight.fixes) fix.log_odds = 9.0;
+    flight.states[600].has_tracks = flight.states[700].has_tracks = false;
+    faults::bend_odometry(flight, 60.0, 3.0, 1.5);
+    faults::bend_odometry(flight, 70.0, 1.0 / 3.0, -1.5);
+    faults::silence_fixes(flight, 59.8, 72.0);
+    const Flown flown = fly(flight, FusionOptions{});
+    EXPECT_EQ(flown.solutions[598].mode, Mode::kMapAided);
+    double largest = 0.0;
+    for (size_t k = 600; k < 720; ++k) {
+      const Mode mode = flown.solutions[k].mode;
+      EXPECT_TRUE(mode == Mode::kCoasting || mode == Mode::kLost) << k;
+      EXPECT_TRUE(std::isnan(flown.solutions[k].horizontal_protection_level)) << k;
+      const double stddev = horizontal_stddev(flown.solutions[k].covariance.topLeftCorner<3, 3>());
+      EXPECT_LT(error_at(flight, flown, k), 2.0 * stddev + 3.0) << k;
+      largest = std::max(largest, error_at(flight, flown, k));
+    }
+    EXPECT_GT(largest, 40.0) << "or nothing was tried";
+    for (size_t k = 745; k < flown.solutions.size(); ++k) EXPECT_LT(error_at(flight, flown, k), 5.0) << k;
+    EXPECT_EQ(flown.solutions[800].mode, Mode::kMapAided);
+    EXPECT_LE(flown.solutions.back().reset_counter, 2);
+    EXPECT_EQ(flown.misleading_horizontal + flown.misleading_vertical, 0);
+  }
+}
+
+// A dark image or two, with the aircraft's own sensors all the while.
+TEST(Scenario, ALookAwayIsOverWithTheNextFix) {
+  SyntheticFlight flight = make_flight(two_minutes(), 24);
+  const Flown whole = fly(flight, FusionOptions{});
+  flight.states[600].has_tracks = flight.states[601].has_tracks = false;
+  const Flown flown = fly(flight, FusionOptions{});
+  EXPECT_EQ(flown.solutions[601].mode, Mode::kCoasting);
+  EXPECT_EQ(flown.solutions[630].mode, Mode::kMapAided);
+  EXPECT_LE(flown.solutions.back().reset_counter, whole.solutions.back().reset_counter + 1);
+  EXPECT_LT(flown.rmse, whole.rmse + 0.2);
+}
+
 TEST(Scenario, ACompassTwentyDegreesOffIsFoundOut) {
   SyntheticFlight flight = make_flight(two_minutes(), 14);
   faults::turn_compass(flight, 0.0, 1e9, 0.349);

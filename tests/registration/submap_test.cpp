@@ -332,6 +332,39 @@ TEST_F(SubmapTest, WhereLittleOfTheNewestKeyframeFitsTheWholeSubmapHasToAgree) {
   EXPECT_THAT(fix.reason, HasSubstr("the whole submap"));
 }
 
+TEST_F(SubmapTest, BeginsAnewWhereNothingIsSeenAgain) {
+  SubmapRegistrar registrar({}, test_camera());
+  registrar.set_map(described_map(ground_), kFieldsMap);
+  int id = 0;
+  const auto fly = [&](int renamed, int step = 1) {
+    Capture next = ground_.capture({80.0 + 3 * id, -80, 60}, 1.0, 0, 0);
+    next.keyframe.id = id += step;
+    for (size_t i = 0; i < next.keyframe.points.size(); ++i) {
+      if (static_cast<int>(i) < renamed) next.keyframe.points[i].id += 1000 * id;
+    }
+    return add(registrar, next, {1.0, 0.05}).num_keyframes;
+  };
+  for (int k = 0; k < 4; ++k) fly(0);
+  EXPECT_EQ(fly(10), 5) << "some points are seen again";
+  EXPECT_EQ(fly(1000), 1);
+  EXPECT_EQ(fly(1000, 2), 2) << "what links them did not arrive";
+}
+
+// What older keyframes saw lies where the odometry has carried it, and fits there: the newest one's is another's.
+TEST_F(SubmapTest, AKeyframeWhoseOwnGroundDoesNotLookLikeThePlaceIsNoFix) {
+  SubmapRegistrar registrar({}, test_camera());
+  registrar.set_map(described_map(ground_), kFieldsMap);
+  for (int k = 0; k < 6; ++k) {
+    const Fix fix = add(registrar, ground_.capture({80.0 + 2 * k, -80, 60}, 1.0, 0, 0), {1.0, 0.05});
+    EXPECT_TRUE(fix.valid) << fix.reason;
+  }
+  for (uint64_t seed = 50; seed < 60; ++seed) {
+    Capture capture = ground_.capture({92, -80, 60}, 1.0, 0, 0);
+    capture.image = SyntheticFields(seed).capture({92, -80, 60}, 1.0, 0, 0).image;
+    EXPECT_FALSE(add(registrar, capture, {1.0, 0.05}).valid) << seed;
+  }
+}
+
 TEST_F(SubmapTest, KeepsOfTheOlderKeyframesThoseThatSawNewGround) {
   SubmapRegistrar registrar({}, test_camera());
   registrar.set_map(described_map(ground_), kFieldsMap);

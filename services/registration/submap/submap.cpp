@@ -4,6 +4,7 @@
 #include <algorithm>
 #include <cmath>
 #include <stdexcept>
+#include <utility>
 
 #include "common/math/so3.h"
 
@@ -77,19 +78,36 @@ std::vector<const View*> SubmapRegistrar::views(size_t variant, int count) const
   return result;
 }
 
+// Whether the odometry has seen again what it saw in the keyframe before. Else it has come here blindly, if these are
+// its own images still, and what was seen before lies elsewhere.
+bool SubmapRegistrar::follow_points(const Keyframe& keyframe) {
+  std::set<int64_t> ids;
+  for (const TrackedPoint& point : keyframe.points) ids.insert(point.id);
+  const auto is_known = [&](int64_t id) { return last_ids_.count(id) > 0; };
+  // One that did not arrive between the two may link them.
+  const bool is_next = keyframe.id == last_id_ + 1;
+  const bool is_linked = !is_next || std::any_of(ids.begin(), ids.end(), is_known);
+  last_id_ = keyframe.id;
+  last_ids_ = std::move(ids);
+  return is_linked;
+}
+
+void SubmapRegistrar::begin_anew() {
+  keyframes_.clear();
+  num_headings_ = 0;
+  fitted_yaw_.reset();
+  scale_.forget();
+  ground_ = {};
+  belief_.clear();
+  p_W_.reset();
+  num_fixes_ = 0;
+}
+
 bool SubmapRegistrar::describe(const Keyframe& keyframe, int session, const cv::Mat& image, const Heading& heading) {
   if (!has_map()) throw std::logic_error("no map to register to");
-  if (session != session_) {
-    session_ = session;
-    keyframes_.clear();
-    num_headings_ = 0;
-    fitted_yaw_.reset();
-    scale_.forget();
-    ground_ = {};
-    belief_.clear();
-    p_W_.reset();
-    num_fixes_ = 0;
-  }
+  const bool is_linked = follow_points(keyframe);
+  if (session != session_ || !is_linked) begin_anew();
+  session_ = session;
   places_.clear();
   num_contradicted_ = 0;
   heading_ = heading;

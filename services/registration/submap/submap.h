@@ -18,6 +18,7 @@
 #include <deque>
 #include <memory>
 #include <optional>
+#include <set>
 #include <string>
 #include <vector>
 
@@ -109,6 +110,9 @@ class SubmapRegistrar : public Method {
   std::vector<double> turns() const;
   // Rotation about z that takes W to G, as fixes have it or else the compass.
   double yaw() const { return fitted_yaw_.value_or(compass_yaw_); }
+  bool follow_points(const Keyframe& keyframe);
+  // With what comes: of what was seen before nothing is known any more.
+  void begin_anew();
   // How far from the newest body (m) a turn counts, for alignments that are to miss nothing.
   static double lever_of(const std::vector<const View*>& views) { return 1.5 * spread_of(views); }
   Variant described(const Keyframe& keyframe, const cv::Mat& image, double turn) const;
@@ -166,6 +170,8 @@ class SubmapRegistrar : public Method {
   bool is_heading_unknown() const;
   // Whether fixes were enough for what they taught to be believed.
   bool is_taught() const { return num_fixes_ >= kTaught; }
+  // What the newest keyframe alone says for where it was fitted: a log-likelihood ratio.
+  double own_evidence(const PlaceFit& fit, size_t variant) const;
   // Of the points, how many stay where they are aligned to the map.
   double aligned_share(const Candidate& place) const;
   // A patch described under a heading that is off fits best where that heading puts it, and the fit believes it.
@@ -188,6 +194,8 @@ class SubmapRegistrar : public Method {
 
   std::deque<Remembered> keyframes_;  // the newest first
   int session_ = -1;
+  int last_id_ = -1;            // of the keyframe before,
+  std::set<int64_t> last_ids_;  // and of its points
   Heading heading_;
   // Compass less odometry: the yaw of W in G by the mean of the session's headings, and what the fixes made of it.
   double compass_yaw_ = 0;

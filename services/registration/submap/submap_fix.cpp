@@ -154,6 +154,13 @@ void SubmapRegistrar::find_heading(Candidate& candidate) {
   fit = fit_at(best.en, {0, fit.alignment.scale}, variant);
 }
 
+double SubmapRegistrar::own_evidence(const PlaceFit& fit, size_t variant) const {
+  const std::vector<const View*> newest = views(variant, 1);
+  const Eigen::Matrix2d G_W = fit.alignment.from_W(newest.front()->yaw);
+  return SubmapEvidence(newest, G_W, *index_, options_.temperature, options_.evidence)
+      .log_likelihood_ratio(fit.en, G_W);
+}
+
 double SubmapRegistrar::aligned_share(const Candidate& place) const {
   size_t points = 0;
   for (const View* view : views(place.place.variant, options_.pose_keyframes)) points += view->points.size();
@@ -248,6 +255,10 @@ Fix SubmapRegistrar::solve() {
     fix.heading_correction_stddev = pose.yaw_stddev;
   }
   if (fix.reason.empty() && !pose.ok) fix.reason = "the matches give no pose";
+  // Ground that older keyframes saw stays where the odometry has carried it, whatever has become of the odometry.
+  if (fix.reason.empty() && own_evidence(fit, best.place.variant) < 0) {
+    fix.reason = "what the newest keyframe alone sees does not look like the place";
+  }
   const double fix_stddev = std::sqrt(0.5 * fix.covariance.topLeftCorner<2, 2>().trace());
   fix.valid = fix.reason.empty();
   if (!fix.valid) {
