@@ -49,7 +49,7 @@ struct CompassOptions {
 // When a place is believed, and when it is left for another one.
 struct LockOptions {
   double probability = 0.999;     // of a place that is believed
-  double fix_probability = 0.99;  // of a fix that does not say how sure it is
+  double fix_probability = 0.99;  // of a fix that does not say, and of any to err by no more than it says
   double wrong_distance = 6.0;    // m of way that a wrong place moves with the aircraft, in the mean,
   double wrong_height = 0.055;    // and this share of the height at least: the higher, the longer the same is in view
   double jump_time = 18000.0;     // s in which an odometry jumps once without saying so

@@ -49,8 +49,8 @@ struct Fix {
   double heading_correction_stddev = kUnknown;  // rad
   double log_likelihood = kUnknown;
   double log_likelihood_ratio = kUnknown;
-  double log_odds = kUnknown;       // of the place against all others and none (method submap)
-  int num_hypotheses = 0;           // places that are considered (method submap)
+  double log_odds = kUnknown;       // of the place against all others and none
+  int num_hypotheses = 0;           // places that are considered
   double search_radius = kUnknown;  // m
   int num_keyframes = 1;
   int num_contradicted = 0;  // points of the keyframe whose depth contradicts its height (method submap)
