@@ -11,6 +11,8 @@ namespace {
 
 // However sure a fix says it is: nobody can have counted whether it is right more often than so.
 constexpr double kSurest = 0.9999;
+// Exponent by which wrong places that move along with the aircraft become rarer with the way.
+constexpr double kTail = 3.0;
 
 }  // namespace
 
@@ -40,7 +42,7 @@ double Agreement::accuracy_log_odds(int64_t now, const LockOptions& options) con
 
 double Agreement::log_odds(double first, int64_t now, const LockOptions& options) const {
   if (fixes_ == 0) return -std::numeric_limits<double>::infinity();
-  const double wrong = std::exp(-first - std::min(span_, fixes_ - 1.0));
+  const double wrong = std::exp(-first - std::min(kTail * std::log1p(span_), fixes_ - 1.0));
   const double age = std::max(0.0, seconds_between(newest_utime_, now));
   return -std::log(wrong + age / options.jump_time);
 }

@@ -1,10 +1,10 @@
 // How sure a place is by the fixes that agree on it: log-odds against its being wrong.
 //
 // The first fix is as sure as it says itself (MAP_FIX, log_odds), or as fixes are that do not say. The others are
-// hardly witnesses of their own: wrong fixes come in runs, for the next field looks like this one. But a wrong place
-// does not move with the aircraft for long. How far it does is taken for exponentially distributed, so each
-// `wrong_distance` of way over which fixes agree is worth one, and so is each further fix at most. A climb is worth
-// nothing: a fix's height is the odometry's over whatever ground it was found above.
+// hardly witnesses of their own: wrong fixes come in runs, for the next field looks like this one. How far a wrong
+// place moves with the aircraft is taken to have a heavy tail, for there are causes that last: beyond s it does so with
+// (1 + s / wrong_distance)^-3. Two may agree by chance, however far apart: each further fix is worth one at most. A
+// climb is worth nothing: a fix's height is the odometry's over whatever ground it was found above.
 //
 // Nothing is sure for long: once in `jump_time` an odometry jumps unnoticed, so what was known that long ago is as good
 // as lost.

@@ -105,6 +105,7 @@ class Fusion {
   void use(const Sighting& sighting);
   std::vector<Sighting> those_of(const Consensus& consensus) const;
   void forget_rival();
+  void reckon_with(const Located& rival, int64_t utime, double log_odds);
   void solve_and_watch_for_jump();
   void update_newest();
   void doubt_way(int64_t utime);

@@ -17,8 +17,8 @@ namespace {
 
 // Standard deviation of a position on the map of which nothing is known, m.
 constexpr double kAnywhere = 1e4;
-// Log-odds against another place from which on it is not reckoned with: one in a hundred.
-constexpr double kNoDoubt = 4.6;
+// Log-odds against another place from which on it is not reckoned with: what a level has left for a fault.
+const double kNoDoubt = log_odds_of(1.0 - kFaultProbability);
 // Newest fixes not believed that are searched for agreement.
 constexpr size_t kWaiting = 100;
 // Share of a new measurement below which it waits for more: hovering, the same ground is seen for ever.
@@ -151,17 +151,24 @@ bool Fusion::try_relock() {
   if (against_all >= log_odds_of(options_.lock.probability)) {
     const std::vector<Sighting> members = those_of(*consensus);
     waiting_.clear();
+    const Estimate left = newest_;
     lock(members);
+    // The place that is left may have been right.
+    reckon_with({left.state.p() - newest_.state.p(), left.covariance.block<3, 3>(kPosition, kPosition)}, now, ours);
     return true;
   }
   if (odds < -kNoDoubt) return false;
   // As an offset: it is carried along with the newest node.
-  rival_ = Located{offset, last.covariance + shared_covariance(options_, last.keyframe, last.lever)};
-  rival_utime_ = now;
-  rival_log_odds_ = theirs;
   rival_is_likelier_ = odds > 0.0;
-  update_newest();
+  reckon_with({offset, last.covariance + shared_covariance(options_, last.keyframe, last.lever)}, now, theirs);
   return false;
+}
+
+void Fusion::reckon_with(const Located& rival, int64_t utime, double log_odds) {
+  rival_ = rival;
+  rival_utime_ = utime;
+  rival_log_odds_ = log_odds;
+  update_newest();
 }
 
 void Fusion::lock(const std::vector<Sighting>& members) {
@@ -255,13 +262,10 @@ void Fusion::use(const Sighting& sighting) {
     graph_->add_scale(id, std::log(fix.scale), shared * stddev);
   }
   const double height = working_height(options_.edge, sighting.keyframe);
-  // If the other place is right, this fix is wrong, too.
-  Agreement alone;
-  alone.add(sighting.keyframe, fix, height, options_.lock);
-  const double ours =
-      believed_.place_log_odds(fix.utime, options_.lock) + alone.place_log_odds(fix.utime, options_.lock);
-  if (rival_ && rival_log_odds_ - ours < -kNoDoubt) forget_rival();
   believed_.add(sighting.keyframe, fix, height, options_.lock);
+  const double odds = rival_log_odds_ - believed_.place_log_odds(fix.utime, options_.lock);
+  if (rival_) rival_is_likelier_ = odds > 0.0;
+  if (rival_ && odds < -kNoDoubt) forget_rival();
   confirming_.add(sighting.keyframe, fix, height, options_.lock);
   // One of before the way was lost says nothing of it.
   if (!astray_ || sighting.keyframe.utime > astray_->utime) to_confirm_ = std::max(0, to_confirm_ - 1);

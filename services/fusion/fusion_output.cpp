@@ -130,7 +130,8 @@ void Fusion::judge(Solution& solution, bool odometry, bool blind) {
   evidence.unconfirmed = to_confirm_ > 0;
   evidence.contradicted = rival_is_likelier_ && rival_utime_ > newest_fix_utime_;
   evidence.level = solution.horizontal_protection_level;
-  if (is_located && std::isnan(evidence.level)) {
+  // How far another place is does not say how likely it is.
+  if (is_located && (std::isnan(evidence.level) || rival_)) {
     evidence.level = kHorizontalQuantile * horizontal_stddev(solution.covariance.topLeftCorner<3, 3>());
   }
   evidence.time_since_fix = solution.time_since_fix;

@@ -50,7 +50,7 @@ struct CompassOptions {
 struct LockOptions {
   double probability = 0.999;     // of a place that is believed
   double fix_probability = 0.99;  // of a fix that does not say, and of any to err by no more than it says
-  double wrong_distance = 6.0;    // m of way that a wrong place moves with the aircraft, in the mean,
+  double wrong_distance = 6.0;    // m of way beyond which a wrong place seldom moves with the aircraft,
   double wrong_height = 0.055;    // and this share of the height at least: the higher, the longer the same is in view
   double jump_time = 18000.0;     // s in which an odometry jumps once without saying so
   double innovation = 4.0;        // Mahalanobis distance from the solution above which a fix is an outlier

@@ -28,22 +28,24 @@ Fix that_says(double log_odds) {
   return fix;
 }
 
-TEST(Agreement, IsWorthWhatTheSurestSaysAndOneForEachWayThatAWrongPlaceHolds) {
+TEST(Agreement, IsWorthWhatTheSurestSaysAndHowRarelyAWrongPlaceHoldsForSoLong) {
   const LockOptions options;
   Agreement agreement;
   EXPECT_EQ(agreement.place_log_odds(kStart, options), -std::numeric_limits<double>::infinity());
   agreement.add(at(0, {0, 0}), that_says(7.0), kHeight, options);
   agreement.add(at(0, {options.wrong_distance, 0}), that_says(8.0), kHeight, options);
   agreement.add(at(0, {-2 * options.wrong_distance, 0}), that_says(kUnknown), kHeight, options);
-  EXPECT_NEAR(agreement.place_log_odds(kStart, options), 10.0, 1e-9);
-  EXPECT_NEAR(agreement.accuracy_log_odds(kStart, options), log_odds_of(options.fix_probability) + 2, 1e-9);
+  for (int k = 0; k < 9; ++k) agreement.add(at(0, {0, 0}), that_says(kUnknown), kHeight, options);
+  const double held = 3 * std::log(1 + 2);
+  EXPECT_NEAR(agreement.place_log_odds(kStart, options), 8.0 + held, 1e-9);
+  EXPECT_NEAR(agreement.accuracy_log_odds(kStart, options), log_odds_of(options.fix_probability) + held, 1e-9);
   Agreement two;
   two.add(at(0, {0, 0}), that_says(7.0), kHeight, options);
   two.add(at(0, {1e4, 0}), that_says(7.0), kHeight, options);
   EXPECT_NEAR(two.place_log_odds(kStart, options), 8.0, 1e-9) << "two may agree by chance, however far apart";
   // Back where it was, and up: no more.
   agreement.add(at(0, {0, 0}), that_says(7.0), 10 * kHeight, options);
-  EXPECT_NEAR(agreement.place_log_odds(kStart, options), 10.0, 1e-9);
+  EXPECT_NEAR(agreement.place_log_odds(kStart, options), 8.0 + held, 1e-9);
 }
 
 TEST(Agreement, NeverSurerThanAnybodyHasCountedNorThanTheOdometryStands) {
@@ -140,7 +142,7 @@ TEST_F(ByOdds, WhereFixesOfOnePlaceDisagreeItsOddsDoNotCount) {
   EXPECT_NE(solution_.mode, Mode::kLost) << "3 m of way tell little";
   int moved = 0;
   while (fly({9, 0, 0}, 9.0) != Outcome::kRelocked && moved < 30) ++moved;
-  EXPECT_LE(moved, 12) << "keyframes: it is left all the same when enough ground says so";
+  EXPECT_LE(moved, 20) << "keyframes: it is left all the same when enough ground says so";
 }
 
 TEST_F(ByOdds, OddsThatAreNoNumberAreRefused) {
