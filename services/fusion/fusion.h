@@ -103,6 +103,7 @@ class Fusion {
   bool within_gate(const Sighting& sighting) const;
   void add_tilt(const Sighting& sighting);
   void use(const Sighting& sighting);
+  void believe(const Sighting& sighting);
   std::vector<Sighting> those_of(const Consensus& consensus) const;
   void forget_rival();
   void reckon_with(const Located& rival, int64_t utime, double log_odds);

@@ -261,17 +261,22 @@ void Fusion::use(const Sighting& sighting) {
     const double stddev = std::hypot(fix.scale_stddev / fix.scale, options_.fix.scale_stddev_floor);
     graph_->add_scale(id, std::log(fix.scale), shared * stddev);
   }
-  const double height = working_height(options_.edge, sighting.keyframe);
-  believed_.add(sighting.keyframe, fix, height, options_.lock);
-  const double odds = rival_log_odds_ - believed_.place_log_odds(fix.utime, options_.lock);
-  if (rival_) rival_is_likelier_ = odds > 0.0;
-  if (rival_ && odds < -kNoDoubt) forget_rival();
-  confirming_.add(sighting.keyframe, fix, height, options_.lock);
-  // One of before the way was lost says nothing of it.
-  if (!astray_ || sighting.keyframe.utime > astray_->utime) to_confirm_ = std::max(0, to_confirm_ - 1);
-  if (to_confirm_ == 0) astray_.reset();
   ++num_fixes_;
   newest_fix_utime_ = std::max(newest_fix_utime_, sighting.fix.utime);
+  // One of before the way was lost says nothing of where it has led.
+  if (!astray_ || sighting.keyframe.utime > astray_->utime) believe(sighting);
+}
+
+void Fusion::believe(const Sighting& sighting) {
+  const double height = working_height(options_.edge, sighting.keyframe);
+  believed_.add(sighting.keyframe, sighting.fix, height, options_.lock);
+  confirming_.add(sighting.keyframe, sighting.fix, height, options_.lock);
+  to_confirm_ = std::max(0, to_confirm_ - 1);
+  if (to_confirm_ == 0) astray_.reset();
+  if (!rival_) return;
+  const double odds = rival_log_odds_ - believed_.place_log_odds(sighting.fix.utime, options_.lock);
+  rival_is_likelier_ = odds > 0.0;
+  if (odds < -kNoDoubt) forget_rival();
 }
 
 void Fusion::solve_and_watch_for_jump() {
@@ -285,12 +290,13 @@ void Fusion::update_newest() {
   newest_ = graph_->estimate(graph_->newest().id);
   level_ = Protection();
   const int64_t now = graph_->newest().utime;
+  const auto exposure = static_cast<int64_t>(1e6 * options_.protection.exposure);
+  if (rival_ && now - rival_utime_ >= exposure) forget_rival();
   // Neither their place nor their accuracy may be wrong more often than a level allows for a fault.
   const int64_t newest = confirming_.newest_utime();
   const double least = log_odds_of(1.0 - kFaultProbability);
   if (confirming_.place_log_odds(newest, options_.lock) < least) return;
   if (confirming_.accuracy_log_odds(newest, options_.lock) < least) return;
-  const auto exposure = static_cast<int64_t>(1e6 * options_.protection.exposure);
   const std::optional<Estimate> without = graph_->without_fixes_after(now - exposure);
   if (!without) return;
   const auto located = [](const Estimate& estimate) {
@@ -298,9 +304,7 @@ void Fusion::update_newest() {
   };
   const Located given = located(newest_);
   std::optional<Located> rival;
-  if (rival_ && now - rival_utime_ < exposure) {
-    rival = Located{given.p_G_B + rival_->p_G_B, rival_->covariance};
-  }
+  if (rival_) rival = Located{given.p_G_B + rival_->p_G_B, rival_->covariance};
   level_ = protect(given, located(*without), rival);
 }
 

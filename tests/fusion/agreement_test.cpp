@@ -62,29 +62,40 @@ TEST(Agreement, NeverSurerThanAnybodyHasCountedNorThanTheOdometryStands) {
 class ByOdds : public ::testing::Test {
  protected:
   Outcome fly(const Eigen::Vector3d& off, double log_odds, double step = 10.0) {
+    const Keyframe keyframe = move(step);
+    const Outcome outcome = fusion_.add_fix(fix_of(keyframe, off, log_odds));
+    look(keyframe, true);
+    return outcome;
+  }
+  Keyframe move(double step) {
     p_.x() += step;
     Keyframe keyframe = at(++id_, p_);
     keyframe.session = 1;
     keyframe.id = id_;
     EXPECT_EQ(fusion_.add_keyframe(keyframe), Outcome::kUsed);
+    return keyframe;
+  }
+  static Fix fix_of(const Keyframe& keyframe, const Eigen::Vector3d& off, double log_odds) {
     Fix fix = that_says(log_odds);
     fix.utime = keyframe.utime;
     fix.session = 1;
-    fix.keyframe_id = id_;
+    fix.keyframe_id = keyframe.id;
     fix.anchor = kAnchor;
     fix.position = EnuFrame(kAnchor).to_geodetic(keyframe.p_W_B + off);
     fix.covariance = Eigen::Matrix3d::Identity();
     fix.heading = M_PI_2;
     fix.heading_stddev = 0.02;
     fix.heading_fitted = true;
-    const Outcome outcome = fusion_.add_fix(fix);
+    return fix;
+  }
+  void look(const Keyframe& keyframe, bool has_tracks) {
     OdometryState state;
+    state.has_tracks = has_tracks;
     state.utime = keyframe.utime + 100'000;
     state.session = 1;
     state.has_pose = true;
     state.p_W_B = keyframe.p_W_B;
     solution_ = fusion_.propagate(state).solution;
-    return outcome;
   }
   Fusion fusion_{FusionOptions{}};
   Eigen::Vector2d p_{0, 0};
@@ -143,6 +154,16 @@ TEST_F(ByOdds, WhereFixesOfOnePlaceDisagreeItsOddsDoNotCount) {
   int moved = 0;
   while (fly({9, 0, 0}, 9.0) != Outcome::kRelocked && moved < 30) ++moved;
   EXPECT_LE(moved, 20) << "keyframes: it is left all the same when enough ground says so";
+}
+
+TEST_F(ByOdds, AFixOfBeforeSightWasLostConfirmsNothing) {
+  for (int k = 0; k < 60; ++k) fly({0, 0, 0}, 9.0);
+  const Keyframe before = move(10.0);
+  look(before, false);
+  ASSERT_EQ(solution_.mode, Mode::kCoasting);
+  EXPECT_EQ(fusion_.add_fix(fix_of(before, {0, 0, 0}, 300.0)), Outcome::kUsed);
+  EXPECT_TRUE(fusion_.unconfirmed());
+  EXPECT_EQ(fly(elsewhere_, 300.0), Outcome::kRelocked) << "one sure fix is enough where nothing later has agreed";
 }
 
 TEST_F(ByOdds, OddsThatAreNoNumberAreRefused) {
